@@ -1,0 +1,1 @@
+"""Settings: Hydra YAML, reachable by other projects as ``pkg://gctd3.conf``."""

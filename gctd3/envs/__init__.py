@@ -1,0 +1,1 @@
+"""The walking task and the environments that simulate it."""

@@ -1,0 +1,160 @@
+"""The walking task for dm_control: a Physics, a Task, and the TorchRL environment around them."""
+
+from __future__ import annotations
+
+import collections
+
+import dm_env
+import numpy as np
+from dm_control import mujoco
+from dm_control.rl import control
+from dm_control.suite import base
+from dm_env import specs
+from torchrl.envs import DMControlWrapper
+
+from gctd3.envs.gait import FEATURES, Measurement, Outcome, Progress, WalkingTask
+from gctd3.envs.simulation import Start, substeps_of
+
+
+class Physics(mujoco.Physics):
+    """A robot on a boom, with its sensors in the task's terms."""
+
+    def measure(self, task: WalkingTask) -> Measurement:
+        """What the robot senses now."""
+        data = self.data
+        return task.measure(np.array(data.qpos), np.array(data.qvel), np.array(data.sensordata))
+
+
+class Walk(base.Task):
+    """Walk forward as far as the finish.
+
+    Args:
+        task: The task's arithmetic.
+        start: Where episodes start.
+        random: Seed or state of the starts.
+    """
+
+    def __init__(
+        self, task: WalkingTask, start: Start | None = None, random: int | np.random.RandomState | None = None
+    ) -> None:
+        super().__init__(random=random)
+        self.task = task
+        self.start = start if start is not None else Start()
+        self._now: Measurement
+        self._progress: Progress
+        self._outcome: Outcome | None = None
+        low, high = task.robot.action_range.T
+        self._middle, self._half = (high + low) / 2, (high - low) / 2
+
+    def initialize_episode(self, physics: Physics) -> None:
+        """Put the robot into its reference pose, every joint off by a little."""
+        joints = self.task.robot.joints
+        noise = self.start.angle_noise, self.start.velocity_noise
+        physics.data.qpos[[j.qpos for j in joints]] += self.random.uniform(-noise[0], noise[0], len(joints))
+        physics.data.qvel[[j.qvel for j in joints]] += self.random.uniform(-noise[1], noise[1], len(joints))
+        self.restart(physics)
+
+    def restart(self, physics: Physics) -> None:
+        """Begin an episode in the state that the physics has now."""
+        physics.forward()
+        self._now = physics.measure(self.task)
+        self._progress = self.task.begin(self._now)
+        self._outcome = None
+
+    def action_spec(self, physics: Physics) -> specs.BoundedArray:
+        """One desired joint angle per actuator, in [-1, 1] of its range."""
+        names = "\t".join(self.task.robot.action_names)
+        return specs.BoundedArray((len(self._half),), np.float64, -1.0, 1.0, name=names)
+
+    def before_step(self, action: np.ndarray, physics: Physics) -> None:
+        """Map the action onto the servos' ranges."""
+        physics.set_control(self._middle + self._half * np.clip(action, -1.0, 1.0))
+
+    def after_step(self, physics: Physics) -> None:
+        """Judge the step."""
+        self._now = physics.measure(self.task)
+        self._progress, self._outcome = self.task.advance(self._progress, self._now)
+
+    def get_observation(self, physics: Physics) -> collections.OrderedDict[str, np.ndarray]:
+        """The nodes' features, the endings' counters, the distance walked (m) and whether it was won."""
+        won = self._outcome is not None and bool(self._outcome.success)
+        return collections.OrderedDict(
+            nodes=self.task.node_features(self._now),
+            counters=self.task.counters(self._progress),
+            position=np.array([self._now.position], dtype=np.float32),
+            success=np.array([won]),
+        )
+
+    def get_reward(self, physics: Physics) -> float:
+        """The sum of the reward's terms."""
+        return float(self.outcome.reward)
+
+    def get_termination(self, physics: Physics) -> float | None:
+        """0 if the episode terminated, 1 if it was truncated, ``None`` if it goes on."""
+        if self.outcome.terminated:
+            return 0.0
+        return 1.0 if self.outcome.truncated else None
+
+    @property
+    def outcome(self) -> Outcome:
+        """Of the last step.
+
+        Raises:
+            RuntimeError: If no step was taken since the reset.
+        """
+        if self._outcome is None:
+            raise RuntimeError("The episode has not been stepped yet.")
+        return self._outcome
+
+
+class WalkEnvironment(control.Environment):
+    """A :class:`dm_control.rl.control.Environment` whose specs do not need a reset."""
+
+    def observation_spec(self) -> collections.OrderedDict[str, specs.Array]:
+        """Shapes and types of the observation."""
+        task: WalkingTask = self.task.task
+        return collections.OrderedDict(
+            nodes=specs.Array((len(task.nodes), FEATURES), np.float32, "nodes"),
+            counters=specs.Array((task.num_counters,), np.float32, "counters"),
+            position=specs.Array((1,), np.float32, "position"),
+            success=specs.Array((1,), bool, "success"),
+        )
+
+    def step(self, action: np.ndarray) -> dm_env.TimeStep:
+        """One control step.
+
+        Raises:
+            ValueError: If the action has the wrong shape or is not finite.
+        """
+        expected = self.action_spec().shape
+        values = np.asarray(action, dtype=np.float64)
+        if values.shape != expected or not np.isfinite(values).all():
+            raise ValueError(f"An action must be finite and of shape {expected}, got {action}.")
+        return super().step(values)
+
+
+def load(
+    task: WalkingTask,
+    start: Start | None = None,
+    random: int | np.random.RandomState | None = None,
+) -> WalkEnvironment:
+    """The walking task as a dm_control environment.
+
+    Args:
+        task: The task's arithmetic; it holds the robot and the control period.
+        start: Where episodes start.
+        random: Seed or state of the starts.
+    """
+    physics = Physics.from_xml_path(str(task.robot.path))
+    return WalkEnvironment(
+        physics,
+        Walk(task, start, random),
+        n_sub_steps=substeps_of(task.control_dt, task.robot.model),
+        # mj_step throughout, as in the batched simulation: sensors are read where the last physics step began.
+        legacy_step=False,
+    )
+
+
+def torchrl_env(task: WalkingTask, start: Start | None = None, seed: int = 0) -> DMControlWrapper:
+    """The walking task as a TorchRL environment of batch size ``[]``; same keys as the batched one."""
+    return DMControlWrapper(load(task, start, seed))

@@ -1,0 +1,106 @@
+"""Environments by name: the backend, then the transforms in their one right order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from torchrl.envs import (
+    CatFrames,
+    Compose,
+    DoubleToFloat,
+    EnvBase,
+    InitTracker,
+    SerialEnv,
+    StepCounter,
+    TransformedEnv,
+)
+
+from gctd3.envs.gait import Endings, Reward, WalkingTask
+from gctd3.envs.simulation import Simulation, Start
+from gctd3.errors import ConfigError
+from gctd3.robot import Robot
+
+Backend = Literal["batched", "dm_control"]
+
+
+@dataclass(frozen=True)
+class EnvSettings:
+    """How the task is simulated and observed.
+
+    Attributes:
+        backend: ``batched`` steps all robots at once with MuJoCo; ``dm_control`` one after another with dm_control.
+        num_envs: Robots.
+        history: Frames stacked into an observation.
+        control_dt: Control period (s).
+        threads: Of the batched backend; all cores if ``None``.
+        start: Where episodes start.
+        endings: When they end.
+    """
+
+    backend: Backend = "batched"
+    num_envs: int = 64
+    history: int = 5
+    control_dt: float = 0.02
+    threads: int | None = None
+    start: Start = field(default_factory=Start)
+    endings: Endings = field(default_factory=Endings)
+
+    def __post_init__(self) -> None:
+        for name in ("num_envs", "history"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"env.{name} must be at least 1, got {getattr(self, name)}.")
+        if self.threads is not None and self.threads < 1:
+            raise ConfigError(f"env.threads must be at least 1, or null for all cores, got {self.threads}.")
+        if not self.control_dt > 0:
+            raise ConfigError(f"env.control_dt must be above 0 s, got {self.control_dt}.")
+
+
+def build_env(robot: Robot, settings: EnvSettings, reward: Reward, seed: int) -> EnvBase:
+    """The walking task on a robot.
+
+    Returns:
+        An environment of batch size ``[num_envs]`` that writes ``nodes [N, 2 * history]`` (oldest frame first),
+        ``counters``, ``position`` (m), ``success``, ``is_init`` and ``step_count``.
+
+    Raises:
+        ConfigError: If a setting is out of range, or the robot does not fit the task.
+    """
+    task = WalkingTask(robot, reward, settings.endings, settings.control_dt)
+    env: EnvBase
+    if settings.backend == "batched":
+        from gctd3.envs.batched import BatchedEnv
+
+        env = BatchedEnv(Simulation(task, settings.num_envs, settings.start, seed, settings.threads))
+        cast = []
+    elif settings.backend == "dm_control":
+        from gctd3.envs import dmc
+
+        def make(index: int) -> EnvBase:
+            return dmc.torchrl_env(task, settings.start, seed + index)
+
+        env = SerialEnv(settings.num_envs, [lambda i=i: make(i) for i in range(settings.num_envs)])
+        cast = [DoubleToFloat()]
+    else:
+        raise ConfigError(f"env.backend must be batched or dm_control, got {settings.backend!r}.")
+    stack = CatFrames(N=settings.history, dim=-1, in_keys=["nodes"], padding="same")
+    return TransformedEnv(env, Compose(*cast, InitTracker(), StepCounter(), stack))
+
+
+def make_env(
+    robot: str = "biped",
+    num_envs: int = 64,
+    backend: Backend = "batched",
+    history: int = 5,
+    seed: int = 0,
+    reward: Reward | None = None,
+) -> EnvBase:
+    """The walking task by the name of a robot, or the path of its MJCF; see :func:`build_env`.
+
+    Example:
+        >>> env = make_env("biped", num_envs=3, seed=0)
+        >>> env.reset()["nodes"].shape
+        torch.Size([3, 8, 10])
+    """
+    settings = EnvSettings(backend=backend, num_envs=num_envs, history=history)
+    return build_env(Robot.from_mjcf(robot), settings, reward if reward is not None else Reward(), seed)

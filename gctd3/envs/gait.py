@@ -1,0 +1,337 @@
+"""The walking task as array functions: what the robot senses, what a step is worth, when an episode ends.
+
+Stage three of the data flow, shared by every backend. All functions take arrays with any leading dimensions ``*``
+(none for one robot, ``[N]`` for a batch) and return new ones; nothing here steps a simulator.
+
+Source of the reward: Phan Bui et al. 2022, Table 3, and the training script that the paper's authors released; which
+term has which source stands beside it in ``conf/reward/paper.yaml``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from gctd3.errors import ConfigError
+from gctd3.graph import KinematicGraph
+from gctd3.robot import Robot
+
+FEATURES = 2  # of a node in one frame
+
+
+@dataclass(frozen=True)
+class Reward:
+    """Weights of the reward; each is positive for a bonus or a punishment of the size that its name says.
+
+    Attributes:
+        target_velocity: Forward velocity beyond which the bonus no longer grows (m/s).
+        progress: Bonus per metre gained over the last ``progress_steps`` steps (1/m).
+        progress_steps: ``h`` (control steps).
+        height: ``c1``, punishment per metre between body and its target height, in each stacked frame (1/m).
+        height_single: Target height with one foot down (m from standing).
+        height_double: Target height with both feet down (m from standing).
+        frames: Stacked frames over which height and flight are summed.
+        flight: Punishment for each stacked frame with no foot down.
+        living: Punishment for each step.
+        fall: Punishment for falling.
+        long_contact: Punishment for a foot that stays down too long.
+        stuck_hip: Punishment for a hip that stays on one side too long.
+        antiphase: Shaping: punishment per radian of the sum of the hip angles (1/rad).
+        overspeed: Shaping: punishment per m/s above ``overspeed_from`` (s/m).
+        overspeed_from: Forward velocity from which ``overspeed`` counts (m/s).
+        air_time: Shaping: bonus at a foot's touchdown per second that it was longer in the air than
+            ``air_time_target``, a punishment if it was shorter (1/s); ``feet_air_time`` of Rudin et al. 2022
+            (arXiv:2109.11978).
+        air_time_target: Time in the air that earns nothing (s).
+        air_time_most: Time in the air beyond which the bonus no longer grows (s).
+    """
+
+    target_velocity: float = 0.9
+    progress: float = 0.2
+    progress_steps: int = 5
+    height: float = 0.005
+    height_single: float = -0.010
+    height_double: float = -0.025
+    frames: int = 5
+    flight: float = 0.01
+    living: float = 0.1
+    fall: float = 10.0
+    long_contact: float = 1.0
+    stuck_hip: float = 0.5
+    antiphase: float = 0.0
+    overspeed: float = 0.0
+    overspeed_from: float = 1.2
+    air_time: float = 0.0
+    air_time_target: float = 0.25
+    air_time_most: float = 0.35
+
+    def __post_init__(self) -> None:
+        _require_at_least(self, 1, "progress_steps", "frames")
+
+
+@dataclass(frozen=True)
+class Endings:
+    """When an episode ends. The first three terminate it, the last two truncate it (its value is bootstrapped).
+
+    Attributes:
+        fall_height: Body height below which the robot has fallen (m from standing).
+        contact_steps: Steps that a foot may stay down; ``None`` for any number.
+        hip_steps: Steps that a hip's angle may keep its sign; ``None`` for any number.
+        finish: Distance at which the episode is won (m).
+        time_limit: Steps after which it is cut off.
+    """
+
+    fall_height: float = -0.1
+    contact_steps: int | None = 40
+    hip_steps: int | None = 50
+    finish: float = 15.0
+    time_limit: int = 1600
+
+    def __post_init__(self) -> None:
+        _require_at_least(self, 1, "contact_steps", "hip_steps", "time_limit")
+        if not self.finish > 0:
+            raise ConfigError(f"endings.finish must be a distance above 0 m, got {self.finish}.")
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What one control step measures.
+
+    Attributes:
+        position: Distance walked, shape ``[*]`` (m).
+        height: Body height from standing, shape ``[*]`` (m).
+        velocity: Forward velocity, shape ``[*]`` (m/s).
+        angles: Joint angles in the order of ``robot.joints``, shape ``[*, J]`` (rad).
+        velocities: Joint velocities, shape ``[*, J]`` (rad/s).
+        feet_down: Whether each foot touches the ground, shape ``[*, feet]``.
+        other_down: Whether anything else touches the ground, shape ``[*]``.
+    """
+
+    position: np.ndarray
+    height: np.ndarray
+    velocity: np.ndarray
+    angles: np.ndarray
+    velocities: np.ndarray
+    feet_down: np.ndarray
+    other_down: np.ndarray
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What the task remembers of an episode; every array is overwritten by the next, none changes in place.
+
+    Attributes:
+        step: Control steps taken, shape ``[*]``.
+        positions: The last ``progress_steps + 1`` positions, oldest first, shape ``[*, progress_steps + 1]`` (m).
+        heights: The stacked frames' body heights, oldest first, shape ``[*, frames]`` (m).
+        feet_down: The stacked frames' foot contacts, shape ``[*, frames, feet]``.
+        contact_steps: Steps for which each foot has been down, shape ``[*, feet]``.
+        air_steps: Steps for which each foot has been up, shape ``[*, feet]``.
+        hip_steps: Steps for which each hip has kept its sign, shape ``[*, feet]``.
+        hip_positive: That sign, shape ``[*, feet]``.
+    """
+
+    step: np.ndarray
+    positions: np.ndarray
+    heights: np.ndarray
+    feet_down: np.ndarray
+    contact_steps: np.ndarray
+    air_steps: np.ndarray
+    hip_steps: np.ndarray
+    hip_positive: np.ndarray
+
+    def where(self, mask: np.ndarray, other: Progress) -> Progress:
+        """``other`` where ``mask`` (shape ``[*]``) holds, this elsewhere."""
+        merged = {}
+        for field in fields(self):
+            mine, theirs = getattr(self, field.name), getattr(other, field.name)
+            merged[field.name] = np.where(mask.reshape(mask.shape + (1,) * (mine.ndim - mask.ndim)), theirs, mine)
+        return Progress(**merged)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a step was worth and whether it ended the episode; every array has shape ``[*]``.
+
+    Attributes:
+        terms: The reward, term by term; its sum is :attr:`reward`.
+        terminated: The robot fell, stood too long on a foot or kept a hip too long on one side.
+        truncated: It reached the finish or the time limit (and did not terminate).
+        success: It reached the finish (and did not terminate).
+    """
+
+    terms: dict[str, np.ndarray]
+    terminated: np.ndarray
+    truncated: np.ndarray
+    success: np.ndarray
+
+    @property
+    def reward(self) -> np.ndarray:
+        """The sum of the terms."""
+        return np.sum(list(self.terms.values()), axis=0)
+
+
+class WalkingTask:
+    """Walk forward as far as the finish: senses a robot on a boom, and judges each step.
+
+    Args:
+        robot: The robot; it must have two legs.
+        reward: The reward's weights.
+        endings: The endings' thresholds.
+        control_dt: Control period (s).
+
+    Raises:
+        ConfigError: If the robot does not have two legs that start at its root.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        reward: Reward | None = None,
+        endings: Endings | None = None,
+        control_dt: float = 0.02,
+    ) -> None:
+        self.robot = robot
+        self.control_dt = control_dt
+        self.reward = reward if reward is not None else Reward()
+        self.endings = endings if endings is not None else Endings()
+        if len(robot.feet) != FEATURES:
+            raise ConfigError(f"The walking task needs a robot with 2 feet, {robot.path} has {len(robot.feet)}.")
+        graph = KinematicGraph.from_robot(robot)
+        names = [joint.name for joint in robot.joints]
+        self.nodes = graph.nodes
+        self.hips = np.array([names.index(leg[0].name) for leg in robot.legs])
+        self._qpos = np.array([joint.qpos for joint in robot.joints])
+        self._qvel = np.array([joint.qvel for joint in robot.joints])
+        self._joint_of_node = np.array([names.index(node) for node in graph.nodes[1:-1]])
+        self._feet = robot.contact_sensors(robot.feet)
+        self._others = robot.contact_sensors(robot.other_contact_bodies)
+        self._standing_height = robot.standing_qpos[robot.vertical]
+
+    def measure(self, qpos: np.ndarray, qvel: np.ndarray, sensordata: np.ndarray) -> Measurement:
+        """Read the simulator: ``qpos [*, nq]``, ``qvel [*, nv]``, ``sensordata [*, ns]``."""
+        return Measurement(
+            position=qpos[..., self.robot.forward],
+            height=qpos[..., self.robot.vertical] - self._standing_height,
+            velocity=qvel[..., self.robot.forward],
+            angles=qpos[..., self._qpos],
+            velocities=qvel[..., self._qvel],
+            feet_down=sensordata[..., self._feet] > 0,
+            other_down=(sensordata[..., self._others] > 0).any(axis=-1),
+        )
+
+    def node_features(self, now: Measurement) -> np.ndarray:
+        """The state of every node in one frame (section 2.3), shape ``[*, N, 2]``.
+
+        Root: height (m), forward velocity (m/s). Joint: angle (rad), velocity (rad/s). Ground: each foot's contact.
+        """
+        features = np.empty((*now.position.shape, len(self.nodes), FEATURES), dtype=np.float32)
+        features[..., 0, 0] = now.height
+        features[..., 0, 1] = now.velocity
+        features[..., 1:-1, 0] = now.angles[..., self._joint_of_node]
+        features[..., 1:-1, 1] = now.velocities[..., self._joint_of_node]
+        features[..., -1, :] = now.feet_down
+        return features
+
+    @property
+    def num_counters(self) -> int:
+        """Length of :meth:`counters`."""
+        return 2 * len(self.robot.feet)
+
+    def counters(self, progress: Progress) -> np.ndarray:
+        """How near each time-based ending is, shape ``[*, 2 * feet]``: what a critic may see and a policy may not.
+
+        Per foot, contact time over its limit, or minus its time in the air; per hip, time on one side over its limit,
+        with the side's sign.
+        """
+        contact = (progress.contact_steps - progress.air_steps) / (
+            self.endings.contact_steps or self.endings.time_limit
+        )
+        hip = progress.hip_steps / (self.endings.hip_steps or self.endings.time_limit)
+        return np.concatenate([contact, np.where(progress.hip_positive, hip, -hip)], axis=-1).astype(np.float32)
+
+    def begin(self, now: Measurement) -> Progress:
+        """The memory of an episode that starts with this measurement: every stack repeats it."""
+        shape = now.position.shape
+        reward = self.reward
+        feet = np.zeros((*shape, len(self.robot.feet)), dtype=np.int64)
+        return Progress(
+            step=np.zeros(shape, dtype=np.int64),
+            positions=np.repeat(now.position[..., None], reward.progress_steps + 1, axis=-1),
+            heights=np.repeat(now.height[..., None], reward.frames, axis=-1),
+            feet_down=np.repeat(now.feet_down[..., None, :], reward.frames, axis=-2),
+            contact_steps=feet,
+            air_steps=feet,
+            hip_steps=feet,
+            hip_positive=now.angles[..., self.hips] >= 0.0,
+        )
+
+    def advance(self, before: Progress, now: Measurement) -> tuple[Progress, Outcome]:
+        """One control step: the memory after it, and its outcome."""
+        hip_positive = now.angles[..., self.hips] >= 0.0
+        after = Progress(
+            step=before.step + 1,
+            positions=_push(before.positions, now.position, axis=-1),
+            heights=_push(before.heights, now.height, axis=-1),
+            feet_down=_push(before.feet_down, now.feet_down, axis=-2),
+            contact_steps=np.where(now.feet_down, before.contact_steps + 1, 0),
+            air_steps=np.where(now.feet_down, 0, before.air_steps + 1),
+            hip_steps=np.where(hip_positive == before.hip_positive, before.hip_steps + 1, 1),
+            hip_positive=hip_positive,
+        )
+        return after, self._outcome(before, after, now)
+
+    def _outcome(self, before: Progress, after: Progress, now: Measurement) -> Outcome:
+        w, end = self.reward, self.endings
+        fell = (now.height < end.fall_height) | now.other_down
+        long_contact = _longer_than(after.contact_steps, end.contact_steps)
+        stuck_hip = _longer_than(after.hip_steps, end.hip_steps)
+
+        feet = after.feet_down.sum(axis=-1)
+        target = np.where(feet == 1, w.height_single, w.height_double)
+        off_height = np.where(feet > 0, np.abs(after.heights - target), 0.0).sum(axis=-1)
+        in_flight = (feet == 0).sum(axis=-1)
+        terms = {
+            "velocity": np.minimum(now.velocity, w.target_velocity),
+            "progress": w.progress * (after.positions[..., -1] - after.positions[..., 0]),
+            "height": -w.height * off_height,
+            "flight": -w.flight * in_flight,
+            "living": np.full(now.velocity.shape, -w.living),
+            "fall": -w.fall * fell,
+            "long_contact": -w.long_contact * long_contact,
+            "stuck_hip": -w.stuck_hip * stuck_hip,
+        }
+        if w.antiphase:
+            terms["antiphase"] = -w.antiphase * np.abs(now.angles[..., self.hips].sum(axis=-1))
+        if w.overspeed:
+            terms["overspeed"] = -w.overspeed * np.maximum(now.velocity - w.overspeed_from, 0.0)
+        if w.air_time:
+            in_air = np.minimum(before.air_steps * self.control_dt, w.air_time_most) - w.air_time_target
+            touchdown = now.feet_down & (before.air_steps > 0)
+            terms["air_time"] = w.air_time * np.where(touchdown, in_air, 0.0).sum(axis=-1)
+
+        terminated = fell | long_contact | stuck_hip
+        success = (now.position >= end.finish) & ~terminated
+        truncated = (success | (after.step >= end.time_limit)) & ~terminated
+        return Outcome(terms, terminated, truncated, success)
+
+
+def _push(stack: np.ndarray, newest: np.ndarray, axis: int) -> np.ndarray:
+    keep = [slice(None)] * stack.ndim
+    keep[axis] = slice(1, None)
+    return np.concatenate([stack[tuple(keep)], np.expand_dims(newest, axis)], axis=axis)
+
+
+def _longer_than(steps: np.ndarray, limit: int | None) -> np.ndarray:
+    if limit is None:
+        return np.zeros(steps.shape[:-1], dtype=bool)
+    return (steps > limit).any(axis=-1)
+
+
+def _require_at_least(settings: object, least: int, *names: str) -> None:
+    for name in names:
+        value = getattr(settings, name)
+        if value is not None and value < least:
+            kind = type(settings).__name__.lower()
+            raise ConfigError(f"{kind}.{name} must be at least {least}, got {value}.")

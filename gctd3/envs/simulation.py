@@ -1,0 +1,134 @@
+"""N robots of one kind stepped together by MuJoCo's rollout pool, with the walking task on top. NumPy in and out."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+
+from gctd3.envs.gait import Measurement, Outcome, Progress, WalkingTask
+from gctd3.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where an episode starts: the MJCF's reference pose, each joint off by a uniform random amount.
+
+    Attributes:
+        angle_noise: Largest deviation of a joint's angle (rad).
+        velocity_noise: Largest deviation of a joint's velocity (rad/s).
+    """
+
+    angle_noise: float = 0.05
+    velocity_noise: float = 0.1
+
+
+class Simulation:
+    """A batch of robots. Physics, sensing, reward and endings; resets are the caller's.
+
+    Args:
+        task: The task; it holds the robot.
+        num_robots: Robots stepped together.
+        start: Where episodes start.
+        seed: Of the starts.
+        threads: Of the pool; all cores if ``None``. Results do not depend on it.
+
+    Raises:
+        ConfigError: If a count is below 1, or the task's control period is not a multiple of the MJCF's timestep.
+    """
+
+    def __init__(
+        self,
+        task: WalkingTask,
+        num_robots: int,
+        start: Start | None = None,
+        seed: int = 0,
+        threads: int | None = None,
+    ) -> None:
+        if num_robots < 1:
+            raise ConfigError(f"num_envs must be at least 1, got {num_robots}.")
+        self.threads = threads if threads is not None else os.cpu_count() or 1
+        if self.threads < 1:
+            raise ConfigError(f"threads must be at least 1, got {threads}.")
+        self.task = task
+        self.model = task.robot.model
+        self.num_robots = num_robots
+        self.substeps = substeps_of(task.control_dt, self.model)
+        self.start = start if start is not None else Start()
+        self.rng = np.random.default_rng(seed)
+        low, high = task.robot.action_range.T
+        self._middle, self._half = (high + low) / 2, (high - low) / 2
+        nq, nv = self.model.nq, self.model.nv
+        spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        self.state = np.zeros((num_robots, mujoco.mj_stateSize(self.model, spec.value)))
+        self._qpos, self._qvel = slice(1, 1 + nq), slice(1 + nq, 1 + nq + nv)
+        self._states = np.empty((num_robots, self.substeps, self.state.shape[1]))
+        self._sensors = np.empty((num_robots, self.substeps, self.model.nsensordata))
+        self._data = [mujoco.MjData(self.model) for _ in range(self.threads)]
+        # A pool of one thread only adds a hand-over; without a pool the calling thread steps.
+        self._pool = mujoco.rollout.Rollout(nthread=0 if self.threads == 1 else self.threads)
+        self.now: Measurement = task.measure(
+            self.state[:, self._qpos], self.state[:, self._qvel], np.zeros((num_robots, self.model.nsensordata))
+        )
+        self.progress: Progress = task.begin(self.now)
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Start a new episode for the robots where ``mask`` (bool ``[N]``) holds."""
+        robots = np.flatnonzero(mask)
+        if not len(robots):
+            return
+        task, model = self.task, self.model
+        joints_q = [joint.qpos for joint in task.robot.joints]
+        joints_v = [joint.qvel for joint in task.robot.joints]
+        sensors = np.zeros((self.num_robots, model.nsensordata))
+        data = self._data[0]
+        for robot in robots:
+            mujoco.mj_resetData(model, data)
+            data.qpos[joints_q] += self.rng.uniform(-self.start.angle_noise, self.start.angle_noise, len(joints_q))
+            data.qvel[joints_v] += self.rng.uniform(
+                -self.start.velocity_noise, self.start.velocity_noise, len(joints_v)
+            )
+            mujoco.mj_forward(model, data)
+            self.state[robot, 0] = data.time
+            self.state[robot, self._qpos] = data.qpos
+            self.state[robot, self._qvel] = data.qvel
+            sensors[robot] = data.sensordata
+        fresh = task.measure(self.state[:, self._qpos], self.state[:, self._qvel], sensors)
+        pick = {name: getattr(self.now, name) for name in Measurement.__dataclass_fields__}
+        for name, old in pick.items():
+            new = np.array(old)
+            new[robots] = getattr(fresh, name)[robots]
+            pick[name] = new
+        self.now = Measurement(**pick)
+        self.progress = self.progress.where(np.asarray(mask), task.begin(self.now))
+
+    def step(self, action: np.ndarray) -> Outcome:
+        """One control step of every robot; ``action [N, A]`` in [-1, 1] maps affinely onto the servos' ranges."""
+        desired = self._middle + self._half * np.clip(action, -1.0, 1.0)
+        control = np.repeat(desired[:, None, :], self.substeps, axis=1)
+        self._pool.rollout(
+            self.model, self._data, self.state, control, state=self._states, sensordata=self._sensors
+        )
+        self.state = self._states[:, -1].copy()
+        self.now = self.task.measure(
+            self.state[:, self._qpos], self.state[:, self._qvel], self._sensors[:, -1].copy()
+        )
+        self.progress, outcome = self.task.advance(self.progress, self.now)
+        return outcome
+
+
+def substeps_of(control_dt: float, model: mujoco.MjModel) -> int:
+    """Physics steps in a control step.
+
+    Raises:
+        ConfigError: If the period is not a positive multiple of the MJCF's timestep.
+    """
+    substeps = round(control_dt / model.opt.timestep)
+    if substeps < 1 or abs(substeps * model.opt.timestep - control_dt) > 1e-9:
+        raise ConfigError(
+            f"control_dt must be a multiple of the MJCF's timestep of {model.opt.timestep} s, got {control_dt} s."
+        )
+    return substeps

@@ -1,0 +1,69 @@
+"""Action values: node features and an action to a number."""
+
+from __future__ import annotations
+
+import torch
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+
+from gctd3.graph import KinematicGraph
+from gctd3.nn.actor import ACTION, NODES
+from gctd3.nn.network import Network
+
+VALUE = "state_action_value"
+PRIVILEGED = "counters"
+
+
+class Critic(nn.Module):
+    """Encoder, then the action (and what only the critic may see) beside its output, fully connected layers, a value.
+
+    The action joins after the flatten (Figure 3).
+
+    Args:
+        network: Sizes and kind of the network.
+        graph: The robot's graph.
+        in_features: ``F``, features of a node over all stacked frames.
+        action_dim: ``A``, number of actions.
+        privileged_dim: Length of the extra input.
+
+    Shapes:
+        inputs ``[*, N, F]``, ``[*, A]`` and, if ``privileged_dim > 0``, ``[*, privileged_dim]``; output ``[*, 1]``.
+    """
+
+    def __init__(
+        self, network: Network, graph: KinematicGraph, in_features: int, action_dim: int, privileged_dim: int = 0
+    ) -> None:
+        super().__init__()
+        self.encoder = network.encoder(graph, in_features)
+        self.head = network.head(self.encoder.out_features + action_dim + privileged_dim, 1)
+
+    def forward(self, nodes: Tensor, action: Tensor, *privileged: Tensor) -> Tensor:
+        """Value of ``action`` in the state ``nodes``; ``[E, B, 1]`` with parameters stacked to ``[E, ...]``."""
+        code = self.encoder(nodes)
+        beside = [x.expand(*code.shape[:-1], x.shape[-1]) for x in (action, *privileged)]
+        return self.head(torch.cat([code, *beside], dim=-1))
+
+
+def make_critic(
+    graph: KinematicGraph,
+    in_features: int = 10,
+    action_dim: int = 6,
+    network: Network | None = None,
+    privileged_dim: int = 0,
+) -> TensorDictModule:
+    """An action-value network.
+
+    Args:
+        graph: The robot's graph.
+        in_features: ``F``, features of a node over all stacked frames.
+        action_dim: ``A``, number of actions.
+        network: Sizes and kind; the paper's GCN by default.
+        privileged_dim: Length of ``"counters"``, which the critic then reads too; 0 for none.
+
+    Returns:
+        A module that reads ``"nodes"`` ``[*, N, F]`` and ``"action"`` ``[*, A]`` and writes ``"state_action_value"``
+        ``[*, 1]``.
+    """
+    module = Critic(network or Network(), graph, in_features, action_dim, privileged_dim)
+    extra = [PRIVILEGED] if privileged_dim else []
+    return TensorDictModule(module, in_keys=[NODES, ACTION, *extra], out_keys=[VALUE])
