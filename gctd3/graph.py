@@ -105,7 +105,14 @@ class KinematicGraph:
     def from_edges(
         cls, nodes: Sequence[str], edges: Sequence[tuple[str, str]], directed: bool = False
     ) -> KinematicGraph:
-        """A graph from its edges: ``(i, j)`` sets ``A[i, j]``, and ``A[j, i]`` too unless ``directed``."""
+        """A graph from its edges: ``(i, j)`` sets ``A[i, j]``, and ``A[j, i]`` too unless ``directed``.
+
+        Raises:
+            RobotError: If an edge names no node, or joins a node to itself.
+        """
+        unknown = sorted({name for edge in edges for name in edge} - set(nodes))
+        if unknown:
+            raise RobotError(f"No node {', '.join(unknown)} for an edge: the nodes are {', '.join(nodes)}.")
         adjacency = np.zeros((len(nodes), len(nodes)))
         for i, j in ((nodes.index(a), nodes.index(b)) for a, b in edges):
             adjacency[i, j] = 1.0

@@ -1,0 +1,1 @@
+"""Off-policy algorithms behind one interface: networks, loss, optimisers, target updates."""

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import collections
+import warnings
 
 import dm_env
 import numpy as np
-from dm_control import mujoco
-from dm_control.rl import control
-from dm_control.suite import base
 from dm_env import specs
 from torchrl.envs import DMControlWrapper
 
 from gctd3.envs.gait import FEATURES, Measurement, Outcome, Progress, WalkingTask
 from gctd3.envs.simulation import Start, substeps_of
+
+with warnings.catch_warnings():
+    # Without a display GLFW only warns, and dm_control settles on it; an error sends it on to EGL, then OSMesa.
+    warnings.filterwarnings("error", module="glfw")
+    from dm_control import mujoco
+    from dm_control.rl import control
+    from dm_control.suite import base
 
 
 class Physics(mujoco.Physics):

@@ -38,6 +38,7 @@ class Reward:
         long_contact: Punishment for a foot that stays down too long.
         stuck_hip: Punishment for a hip that stays on one side too long.
         antiphase: Shaping: punishment per radian of the sum of the hip angles (1/rad).
+        single_support: Shaping: bonus for each step with exactly one foot down.
         overspeed: Shaping: punishment per m/s above ``overspeed_from`` (s/m).
         overspeed_from: Forward velocity from which ``overspeed`` counts (m/s).
         air_time: Shaping: bonus at a foot's touchdown per second that it was longer in the air than
@@ -60,6 +61,7 @@ class Reward:
     long_contact: float = 1.0
     stuck_hip: float = 0.5
     antiphase: float = 0.0
+    single_support: float = 0.0
     overspeed: float = 0.0
     overspeed_from: float = 1.2
     air_time: float = 0.0
@@ -304,6 +306,8 @@ class WalkingTask:
         }
         if w.antiphase:
             terms["antiphase"] = -w.antiphase * np.abs(now.angles[..., self.hips].sum(axis=-1))
+        if w.single_support:
+            terms["single_support"] = w.single_support * (feet[..., -1] == 1)
         if w.overspeed:
             terms["overspeed"] = -w.overspeed * np.maximum(now.velocity - w.overspeed_from, 0.0)
         if w.air_time:

@@ -1,0 +1,53 @@
+"""DDPG (Lillicrap et al. 2016, arXiv:1509.02971)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tensordict import TensorDictBase
+from torchrl.objectives import DDPGLoss, SoftUpdate
+
+from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics, minimize
+
+
+@dataclass(frozen=True)
+class DDPGSettings(AlgorithmSettings):
+    """Hyperparameters of DDPG: those that all algorithms share."""
+
+    def build(self, architecture: Architecture) -> DDPG:
+        """The algorithm, with fresh networks."""
+        return DDPG(self, architecture)
+
+
+class DDPG(Algorithm):
+    """One critic, and an actor that follows its gradient."""
+
+    def __init__(self, settings: DDPGSettings, architecture: Architecture) -> None:
+        super().__init__()
+        self.settings = settings
+        self.actor = architecture.actor()
+        self.loss = DDPGLoss(
+            self.actor, architecture.critic(), loss_function="l2", delay_actor=True, delay_value=True
+        )
+        self.loss.make_value_estimator(gamma=settings.gamma)
+        self.targets = SoftUpdate(self.loss, tau=settings.tau)
+        self.critic_optimizer = self.optimizer("critic", self.loss.value_network_params.values(True, True))
+        self.actor_optimizer = self.optimizer("actor", self.loss.actor_network_params.values(True, True))
+
+    def update(self, batch: TensorDictBase) -> Metrics:
+        """One update of the critic, the actor and the targets."""
+        self.updates += 1
+        loss_critic, details = self.loss.loss_value(batch)
+        minimize(self.critic_optimizer, loss_critic)
+        loss_actor, _ = self.loss.loss_actor(batch)
+        minimize(self.actor_optimizer, loss_actor)
+        self.targets.step()
+        return {
+            "loss_critic": loss_critic.detach(),
+            "loss_actor": loss_actor.detach(),
+            "value": details["pred_value"].detach().mean(),
+        }
+
+    def averaged_actor_params(self) -> TensorDictBase:
+        """The target actor's."""
+        return self.loss.target_actor_network_params

@@ -1,0 +1,91 @@
+"""SAC with a learned temperature (Haarnoja et al. 2018, arXiv:1812.05905)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.objectives import SACLoss, SoftUpdate
+
+from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics, minimize
+from gctd3.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class SACSettings(AlgorithmSettings):
+    """Hyperparameters of SAC.
+
+    Attributes:
+        alpha: Initial temperature.
+    """
+
+    alpha: float = 0.2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.alpha > 0:
+            raise ConfigError(f"algo.alpha must be above 0, got {self.alpha}.")
+
+    def build(self, architecture: Architecture) -> SAC:
+        """The algorithm, with fresh networks."""
+        return SAC(self, architecture)
+
+
+class SAC(Algorithm):
+    """Twin critics, a Gaussian actor, and a temperature that holds its entropy at minus the number of actions."""
+
+    def __init__(self, settings: SACSettings, architecture: Architecture) -> None:
+        super().__init__()
+        self.settings = settings
+        self.actor = architecture.stochastic_actor()
+        self.loss = SACLoss(
+            self.actor,
+            [architecture.critic() for _ in range(2)],
+            loss_function="l2",
+            alpha_init=settings.alpha,
+            target_entropy=-float(architecture.action_dim),
+        )
+        self.loss.make_value_estimator(gamma=settings.gamma)
+        self.targets = SoftUpdate(self.loss, tau=settings.tau)
+        self.critic_optimizer = self.optimizer("critic", self.loss.qvalue_network_params.values(True, True))
+        self.actor_optimizer = self.optimizer("actor", self.loss.actor_network_params.values(True, True))
+        self.alpha_optimizer = self.optimizer("alpha", [self.loss.log_alpha])
+        # SAC has no target actor; this average serves evaluation only.
+        self._average = self.loss.actor_network_params.data.clone()
+
+    def update(self, batch: TensorDictBase) -> Metrics:
+        """One update of the critics, the actor, the temperature and the targets."""
+        self.updates += 1
+        losses = self.loss(batch)
+        total = losses["loss_qvalue"] + losses["loss_actor"] + losses["loss_alpha"]
+        for optimizer in self.optimizers.values():
+            optimizer.zero_grad(set_to_none=True)
+        # One backward pass: each loss reaches only its own parameters.
+        total.backward()
+        for optimizer in self.optimizers.values():
+            optimizer.step()
+        self.targets.step()
+        self._average.lerp_(self.loss.actor_network_params.data, self.settings.tau)
+        return {
+            "loss_critic": losses["loss_qvalue"].detach(),
+            "loss_actor": losses["loss_actor"].detach(),
+            "alpha": losses["alpha"].detach(),
+            "entropy": losses["entropy"].detach(),
+        }
+
+    def averaged_actor_params(self) -> TensorDictBase:
+        """The actor's Polyak average."""
+        return self._average
+
+    def state_dict(self) -> dict[str, object]:
+        """All parameters, targets, averages, optimisers and counts."""
+        average = {str(i): value for i, value in enumerate(self._average.values(True, True))}
+        return {**super().state_dict(), "average": average}
+
+    def load_state_dict(self, state: dict[str, object]) -> None:
+        """Restore :meth:`state_dict`."""
+        super().load_state_dict(state)
+        average: dict[str, torch.Tensor] = state["average"]  # type: ignore[assignment]
+        for i, value in enumerate(self._average.values(True, True)):
+            value.copy_(average[str(i)])

@@ -1,0 +1,87 @@
+"""TD3 (Fujimoto et al. 2018, arXiv:1802.09477). With ``network=gcn`` it is GCTD3 (Phan Bui et al. 2022)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tensordict import TensorDictBase
+from torchrl.objectives import SoftUpdate
+
+from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics, minimize
+from gctd3.errors import ConfigError
+from gctd3.objectives import TD3Loss
+
+
+@dataclass(frozen=True)
+class TD3Settings(AlgorithmSettings):
+    """Hyperparameters of TD3.
+
+    Attributes:
+        policy_delay: Critic updates for each update of the actor and the targets.
+        policy_noise: Standard deviation of the noise on the target's actions, which are in [-1, 1].
+        noise_clip: Largest size of that noise.
+    """
+
+    policy_delay: int = 2
+    policy_noise: float = 0.2
+    noise_clip: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.policy_delay < 1:
+            raise ConfigError(f"algo.policy_delay must be at least 1, got {self.policy_delay}.")
+        if self.policy_noise < 0 or self.noise_clip < 0:
+            raise ConfigError(
+                f"algo.policy_noise and algo.noise_clip must be at least 0, "
+                f"got {self.policy_noise} and {self.noise_clip}."
+            )
+
+    def build(self, architecture: Architecture) -> TD3:
+        """The algorithm, with fresh networks."""
+        return TD3(self, architecture)
+
+
+class TD3(Algorithm):
+    """Twin critics, target noise, delayed actor."""
+
+    def __init__(self, settings: TD3Settings, architecture: Architecture) -> None:
+        super().__init__()
+        self.settings: TD3Settings = settings
+        self.actor = architecture.actor()
+        # A list, because a single module would be copied and initialised anew.
+        critics = [architecture.critic() for _ in range(2)]
+        self.loss = TD3Loss(
+            self.actor,
+            critics,
+            bounds=(-1.0, 1.0),
+            policy_noise=settings.policy_noise,
+            noise_clip=settings.noise_clip,
+            loss_function="l2",
+        )
+        self.loss.make_value_estimator(gamma=settings.gamma)
+        self.targets = SoftUpdate(self.loss, tau=settings.tau)
+        self.critic_optimizer = self.optimizer("critic", self.loss.qvalue_network_params.values(True, True))
+        self.actor_optimizer = self.optimizer("actor", self.loss.actor_network_params.values(True, True))
+
+    def update(self, batch: TensorDictBase) -> Metrics:
+        """One critic update; every ``policy_delay``-th also one of the actor and the targets."""
+        self.updates += 1
+
+        # Critics: towards the smaller target critic's value of the target actor's noisy action (equations 9 to 11).
+        loss_critic, details = self.loss.value_loss(batch)
+        minimize(self.critic_optimizer, loss_critic)
+        metrics = {"loss_critic": loss_critic.detach(), "value": details["pred_value"].mean()}
+
+        if self.updates % self.settings.policy_delay == 0:
+            # Actor: up the first critic's value.
+            loss_actor, _ = self.loss.actor_loss(batch)
+            minimize(self.actor_optimizer, loss_actor)
+            metrics["loss_actor"] = loss_actor.detach()
+
+            # Targets: Polyak averages (equations 12 and 13).
+            self.targets.step()
+        return metrics
+
+    def averaged_actor_params(self) -> TensorDictBase:
+        """The target actor's."""
+        return self.loss.target_actor_network_params

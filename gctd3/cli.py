@@ -1,0 +1,87 @@
+"""From a command line to a function: Hydra underneath, and errors that fit on a line."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+import hydra
+from hydra import compose, initialize_config_module
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from gctd3.errors import GCTD3Error
+from gctd3.settings import suggest
+
+CONF = "gctd3.conf"
+USAGE_ERROR = 2
+
+
+def command(config: str, task: Callable[[DictConfig], None]) -> None:
+    """Run ``task`` on the configuration that the command line asks for; exit with 2 after a message if it is wrong.
+
+    Args:
+        config: Name of the root YAML in ``conf/``.
+        task: Gets the resolved configuration.
+    """
+    if find_spec(CONF) is None:
+        _fail(
+            "gctd3 was imported from a source tree in which it is not installed: "
+            "run `pip install -e .` there, or leave it."
+        )
+    # The name of the robot in a run's path, whether it ships with gctd3 or is a file.
+    OmegaConf.register_new_resolver("robot_stem", lambda name: Path(str(name)).stem, replace=True)
+    # Hydra would print and exit; this way its errors come here, to be said in the library's words.
+    os.environ.setdefault("HYDRA_FULL_ERROR", "1")
+    try:
+        hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(task)()
+    except GCTD3Error as error:
+        _fail(str(error))
+    except (HydraException, OmegaConfBaseException) as error:
+        _fail(explain(error, config))
+    except OSError as error:
+        _fail(f"{error.strerror}: {error.filename}" if error.filename else str(error))
+
+
+def explain(error: Exception, config: str) -> str:
+    """What Hydra's error says, and for an unknown key the nearest known ones."""
+    causes = [str(error), *([str(error.__cause__)] if error.__cause__ else [])]
+    text = "\n".join(line for line in "\n".join(causes).splitlines() if line.strip())
+    unknown = re.search(r"full_key: (\S+)", text) if "is not in struct" in text else None
+    if unknown is None:
+        return text
+    key = unknown.group(1)
+    parent = key.rpartition(".")[0]
+    keys = _known_keys(config)
+    siblings = [k for k in keys if k.rpartition(".")[0] == parent]
+    accepted = f" Accepted: {', '.join(siblings)}." if siblings else ""
+    return f"Unknown key {key!r}.{suggest(key, keys)}{accepted}"
+
+
+def _known_keys(config: str) -> list[str]:
+    GlobalHydra.instance().clear()
+    with initialize_config_module(CONF, version_base="1.3"):
+        composed = compose(config)
+
+    def walk(node: DictConfig, prefix: str) -> list[str]:
+        found = []
+        for key in node:
+            value = OmegaConf.select(node, str(key), throw_on_missing=False)
+            if key != "_target_":
+                found.append(f"{prefix}{key}")
+            if isinstance(value, DictConfig):
+                found += walk(value, f"{prefix}{key}.")
+        return found
+
+    return walk(composed, "")
+
+
+def _fail(message: str) -> None:
+    print(f"error: {message}", file=sys.stderr)
+    raise SystemExit(USAGE_ERROR)

@@ -1,0 +1,170 @@
+"""How the robots try things out: a rhythmic warm-up, then the policy with noise that differs from robot to robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from gctd3.errors import ConfigError
+from gctd3.robot import Robot
+
+
+@dataclass(frozen=True)
+class ExplorationSettings:
+    """Warm-up and noise.
+
+    Attributes:
+        warmup: ``rhythmic``: see :class:`Rhythm`; ``uniform``: uniform actions, each held for a while.
+        warmup_frames: Frames (all robots together) before the policy acts.
+        hold: Control steps for which ``uniform`` holds an action.
+        frequency: Lowest and highest frequency of ``rhythmic`` (Hz).
+        noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions, spread
+            geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for a policy that
+            is random by itself.
+    """
+
+    warmup: Literal["rhythmic", "uniform"] = "rhythmic"
+    warmup_frames: int = 10_000
+    hold: int = 5
+    frequency: Sequence[float] = (1.2, 2.4)
+    noise: Sequence[float] | None = (0.05, 0.5)
+
+    def __post_init__(self) -> None:
+        if self.warmup_frames < 0:
+            raise ConfigError(f"exploration.warmup_frames must be at least 0, got {self.warmup_frames}.")
+        if self.hold < 1:
+            raise ConfigError(f"exploration.hold must be at least 1, got {self.hold}.")
+        if len(self.frequency) != 2 or not 0 < self.frequency[0] <= self.frequency[1]:
+            raise ConfigError(f"exploration.frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
+        if self.noise is not None and (len(self.noise) != 2 or not 0 < self.noise[0] <= self.noise[1]):
+            raise ConfigError(f"exploration.noise must be [smallest, largest] > 0 or null, got {list(self.noise)}.")
+
+
+class Rhythm(torch.nn.Module):
+    """Open-loop gaits: every joint follows a sine, and a joint's mirror image follows it half a period later.
+
+    Each episode draws a frequency, and for each pair of joints an offset, an amplitude and a phase. It knows nothing of
+    walking but that legs take turns; most draws fall, a few step forward, and those are what the critic starts from.
+    A joint without a mirror image follows its own sine.
+
+    Args:
+        robot: The robot.
+        num_robots: Robots.
+        frequency: Lowest and highest frequency (Hz).
+        control_dt: Control period (s).
+    """
+
+    leader: Tensor
+    lag: Tensor
+    cycles: Tensor
+
+    OFFSET = 0.5  # largest, of a joint's half range
+    AMPLITUDE = (0.1, 1.0)  # smallest and largest, of a joint's half range
+    NOISE = 0.1  # standard deviation of what is added to the sines
+
+    def __init__(self, robot: Robot, num_robots: int, frequency: Sequence[float], control_dt: float) -> None:
+        super().__init__()
+        partner = torch.from_numpy(robot.action_mirror[0])
+        own = torch.arange(len(partner))
+        # Of each pair the joint that the robot lists first leads, the other lags by half a period.
+        self.register_buffer("leader", torch.minimum(own, partner))
+        self.register_buffer("lag", 0.5 * (own > partner))
+        self.register_buffer("sign", torch.where(own > partner, torch.from_numpy(robot.action_mirror[1]), 1.0).float())
+        for name in ("offset", "amplitude", "phase"):
+            self.register_buffer(name, torch.zeros(num_robots, len(partner)))
+        self.register_buffer("cycles", torch.zeros(num_robots))
+        self.register_buffer("frequency", torch.zeros(num_robots))
+        self._range, self._dt = tuple(frequency), control_dt
+
+    def draw(self, mask: Tensor) -> None:
+        """Draw new gaits for the robots where ``mask`` (bool ``[robots]``) holds."""
+        shape = self.phase.shape
+        pair = (slice(None), self.leader)
+        new = {
+            "offset": (2 * torch.rand(shape) - 1)[pair] * self.OFFSET,
+            "amplitude": self.AMPLITUDE[0] + (self.AMPLITUDE[1] - self.AMPLITUDE[0]) * torch.rand(shape)[pair],
+            "phase": torch.rand(shape)[pair] + self.lag,
+            "cycles": torch.zeros(shape[0]),
+            "frequency": self._range[0] + (self._range[1] - self._range[0]) * torch.rand(shape[0]),
+        }
+        for name, values in new.items():
+            old = getattr(self, name)
+            old.copy_(torch.where(mask.reshape(-1, *[1] * (old.ndim - 1)), values, old))
+
+    def forward(self, is_init: Tensor) -> Tensor:
+        """Actions ``[robots, A]`` of the next step; robots whose episode begins get a new gait first."""
+        if is_init.any():
+            self.draw(is_init)
+        self.cycles += self._dt * self.frequency
+        wave = torch.sin(2 * math.pi * (self.cycles[:, None] + self.phase))
+        action = self.sign * (self.offset + self.amplitude * wave)
+        return (action + self.NOISE * torch.randn_like(action)).clamp(-1.0, 1.0)
+
+
+class Explorer(TensorDictModuleBase):
+    """The policy that collects: warm-up first, then the actor with noise.
+
+    Reads what the actor reads and ``"is_init"``; writes ``"action"`` ``[robots, A]``.
+
+    Args:
+        actor: The policy under training.
+        robot: The robot.
+        num_robots: Robots.
+        settings: Warm-up and noise.
+        control_dt: Control period (s).
+    """
+
+    frames: Tensor
+    sigma: Tensor
+    held: Tensor
+
+    def __init__(
+        self,
+        actor: TensorDictModuleBase,
+        robot: Robot,
+        num_robots: int,
+        settings: ExplorationSettings,
+        control_dt: float = 0.02,
+    ) -> None:
+        super().__init__()
+        self.in_keys = [*actor.in_keys, "is_init"]
+        self.out_keys = ["action"]
+        self.actor = actor
+        self.settings = settings
+        self.rhythm = Rhythm(robot, num_robots, settings.frequency, control_dt)
+        self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
+        self.register_buffer("held", torch.zeros(num_robots, len(robot.actuated)))
+        low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
+        self.register_buffer("sigma", torch.logspace(math.log10(low), math.log10(high), num_robots)[:, None])
+
+    @property
+    def warming_up(self) -> bool:
+        """Whether the policy has not acted yet."""
+        return int(self.frames) < self.settings.warmup_frames
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the next action of every robot."""
+        robots = len(self.held)
+        if self.warming_up:
+            tensordict.set("action", self._warmup(tensordict.get("is_init").reshape(-1)))
+        else:
+            self.actor(tensordict)
+            if self.settings.noise is not None:
+                action = tensordict.get("action")
+                tensordict.set("action", (action + self.sigma * torch.randn_like(action)).clamp(-1.0, 1.0))
+        self.frames += robots
+        return tensordict
+
+    def _warmup(self, is_init: Tensor) -> Tensor:
+        if self.settings.warmup == "rhythmic":
+            return self.rhythm(is_init)
+        if (int(self.frames) // len(self.held)) % self.settings.hold == 0:
+            self.held.uniform_(-1.0, 1.0)
+        return self.held.clone()

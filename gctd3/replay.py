@@ -1,0 +1,133 @@
+"""Replay: n-step transitions in a TorchRL buffer, mirrored copies on the way out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.envs.transforms import MultiStepTransform, Transform
+
+from gctd3.envs.gait import FEATURES
+from gctd3.errors import ConfigError
+from gctd3.graph import KinematicGraph
+from gctd3.robot import Robot
+
+KEPT = ("nodes", "counters", "action", ("next", "nodes"), ("next", "counters"), ("next", "reward"))
+ENDS = (("next", "done"), ("next", "terminated"), ("next", "truncated"))
+
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """What is remembered and how it is drawn.
+
+    Attributes:
+        capacity: Transitions kept; the oldest leave first.
+        batch_size: Transitions drawn for an update.
+        n_step: Rewards summed before the bootstrap (Sutton 1988).
+        mirror: Whether half of every batch is reflected in the robot's sagittal plane.
+    """
+
+    capacity: int = 1_000_000
+    batch_size: int = 256
+    n_step: int = 1
+    mirror: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("capacity", "batch_size", "n_step"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"replay.{name} must be at least 1, got {getattr(self, name)}.")
+        if self.batch_size > self.capacity:
+            raise ConfigError(
+                f"replay.batch_size must be at most replay.capacity, got {self.batch_size} and {self.capacity}."
+            )
+
+
+class Mirror(Transform):
+    """Replaces the second half of a batch by its reflection in the robot's sagittal plane.
+
+    A robot whose left and right sides are equal learns the same from both: the reflected transition is as true as
+    the one that was seen.
+
+    Args:
+        robot: The robot.
+        history: Frames stacked in the nodes' features.
+    """
+
+    def __init__(self, robot: Robot, history: int) -> None:
+        super().__init__()
+        graph = KinematicGraph.from_robot(robot)
+        width = FEATURES * history
+        source = np.arange(graph.num_nodes * width).reshape(graph.num_nodes, width)[list(graph.mirror)]
+        sign = np.ones_like(source, dtype=np.float32)
+        for row, name in enumerate(graph.nodes[1:-1], start=1):
+            sign[row] = robot.mirror_sign(name)
+        # The ground node's features are one per foot, so they change places too.
+        feet = np.array([robot.feet.index(robot.mirror_name(foot)) for foot in robot.feet])
+        source[-1] = source[-1].reshape(history, FEATURES)[:, feet].reshape(-1)
+        hips = len(feet) + feet
+        actions, action_sign = robot.action_mirror
+        self.register_buffer("nodes_from", torch.from_numpy(source.reshape(-1)))
+        self.register_buffer("nodes_sign", torch.from_numpy(sign.reshape(-1)))
+        self.register_buffer("counters_from", torch.from_numpy(np.concatenate([feet, hips])))
+        self.register_buffer("actions_from", torch.from_numpy(actions))
+        self.register_buffer("actions_sign", torch.from_numpy(action_sign.astype(np.float32)))
+        hip_sign = [robot.mirror_sign(leg[0].name) for leg in robot.legs]
+        self.register_buffer("counters_sign", torch.tensor([1.0] * len(feet) + hip_sign))
+
+    def reflect(self, key: str, values: Tensor) -> Tensor:
+        """``values`` (``nodes [B, N, F]``, ``counters [B, C]`` or ``action [B, A]``) of the mirrored robot."""
+        if key == "nodes":
+            flat = values.flatten(-2).index_select(-1, self.nodes_from) * self.nodes_sign
+            return flat.reshape(values.shape)
+        if key == "counters":
+            return values.index_select(-1, self.counters_from) * self.counters_sign
+        return values.index_select(-1, self.actions_from) * self.actions_sign
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Reflect the second half of the batch."""
+        half = tensordict.shape[0] // 2
+        for key in ("nodes", "counters", "action", ("next", "nodes"), ("next", "counters")):
+            values = tensordict.get(key, None)
+            if values is not None:
+                name = key if isinstance(key, str) else key[-1]
+                tensordict.set(key, torch.cat([values[:half], self.reflect(name, values[half:])]))
+        return tensordict
+
+
+class Replay:
+    """Takes what a collector delivers, gives batches for updates.
+
+    Args:
+        settings: Sizes and options.
+        gamma: Discount of the n-step sums.
+        mirror: The reflection, if ``settings.mirror``.
+    """
+
+    def __init__(self, settings: ReplaySettings, gamma: float, mirror: Mirror | None = None) -> None:
+        self.settings = settings
+        self.buffer = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(settings.capacity), batch_size=settings.batch_size, transform=mirror
+        )
+        # By default the transform leaves the ends of a window's first step in place; the update must see its last.
+        self._steps = MultiStepTransform(settings.n_step, gamma, done_keys=[]) if settings.n_step > 1 else None
+
+    def __len__(self) -> int:
+        return len(self.buffer)
+
+    def extend(self, collected: TensorDictBase) -> None:
+        """Remember ``collected``, batch size ``[robots, time]``."""
+        steps = collected.select(*KEPT, *ENDS)
+        if self._steps is not None:
+            steps = self._steps.inv(steps)
+            if steps is None:
+                return
+            steps = steps.select(*KEPT, *ENDS, "steps_to_next_obs")
+        self.buffer.extend(steps.reshape(-1))
+
+    def sample(self) -> TensorDictBase:
+        """A batch of ``settings.batch_size`` transitions."""
+        return self.buffer.sample()

@@ -1,0 +1,114 @@
+"""From YAML to typed settings: one pass that checks every key and value before any work starts.
+
+A YAML mapping with a ``_target_`` becomes a call of that target; its keys must be the target's parameters and their
+values of the annotated types. The targets check ranges themselves.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import types
+import typing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from hydra.errors import HydraException
+from hydra.utils import get_object
+from omegaconf import DictConfig, OmegaConf
+
+from gctd3.errors import ConfigError
+
+
+def build(config: DictConfig | Mapping[str, Any]) -> Any:  # noqa: ANN401 - whatever the target returns
+    """Call the configuration's targets, innermost first.
+
+    Raises:
+        ConfigError: If a key is unknown or missing, or a value has the wrong type or is out of range.
+    """
+    plain = OmegaConf.to_container(config, resolve=True) if isinstance(config, DictConfig) else dict(config)
+    return _build(plain, "")
+
+
+def _build(value: Any, path: str) -> Any:  # noqa: ANN401
+    if isinstance(value, Mapping):
+        inner = {key: _build(item, f"{path}.{key}".lstrip(".")) for key, item in value.items() if key != "_target_"}
+        return _call(value["_target_"], inner, path) if "_target_" in value else inner
+    if isinstance(value, list):
+        return tuple(_build(item, f"{path}[{i}]") for i, item in enumerate(value))
+    return value
+
+
+def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa: ANN401
+    where = path or "the configuration"
+    try:
+        function = get_object(target)
+    except (HydraException, ImportError, ValueError) as error:
+        raise ConfigError(f"{where}: _target_ {target!r} cannot be imported: {error}") from error
+    parameters = inspect.signature(function).parameters
+    hints = _hints(function)
+    for key, value in arguments.items():
+        full = f"{path}.{key}".lstrip(".")
+        if key not in parameters:
+            raise ConfigError(f"Unknown key {full!r}.{suggest(key, parameters)} Accepted: {', '.join(parameters)}.")
+        if key in hints and not _fits(value, hints[key]):
+            raise ConfigError(f"{full} must be {_describe(hints[key])}, got {value!r}.")
+    missing = [n for n, p in parameters.items() if p.default is inspect.Parameter.empty and n not in arguments]
+    if missing:
+        raise ConfigError(f"{where} lacks {', '.join(missing)}.")
+    converted = {
+        key: float(value) if isinstance(value, int) and _is_float(hints.get(key)) else value
+        for key, value in arguments.items()
+    }
+    return function(**converted)
+
+
+def suggest(key: str, known: Iterable[str]) -> str:
+    """``" Did you mean ...?"`` if something like ``key`` is known, else nothing."""
+    close = difflib.get_close_matches(key, list(known), n=1)
+    return f" Did you mean {close[0]!r}?" if close else ""
+
+
+def _hints(function: Callable[..., Any]) -> dict[str, Any]:
+    return typing.get_type_hints(function.__init__ if inspect.isclass(function) else function)
+
+
+def _is_float(hint: Any) -> bool:  # noqa: ANN401
+    return float in (hint, *typing.get_args(hint)) and int not in typing.get_args(hint) and not isinstance(hint, bool)
+
+
+def _fits(value: Any, hint: Any) -> bool:  # noqa: ANN401
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if hint is Any:
+        return True
+    if origin in (typing.Union, types.UnionType):
+        return any(_fits(value, option) for option in inner)
+    if origin is typing.Literal:
+        return value in inner
+    if hint in (None, type(None)):
+        return value is None
+    if hint is float:
+        return isinstance(value, (int, float)) and not isinstance(value, bool)
+    if hint is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    if origin is not None and issubclass(origin, Mapping):
+        return isinstance(value, Mapping) and all(_fits(v, inner[1]) for v in value.values())
+    if origin is not None and issubclass(origin, Sequence):
+        return isinstance(value, (list, tuple)) and all(_fits(v, inner[0]) for v in value)
+    return isinstance(value, origin or hint)
+
+
+def _describe(hint: Any) -> str:  # noqa: ANN401
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(_describe(option) for option in inner)
+    if origin is typing.Literal:
+        return "one of " + ", ".join(map(str, inner))
+    if hint in (None, type(None)):
+        return "null"
+    if origin is not None and issubclass(origin, Mapping):
+        return f"a mapping to {_describe(inner[1])}"
+    if origin is not None and issubclass(origin, Sequence):
+        return f"a list of {_describe(inner[0])}"
+    names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+    return names.get(hint, f"a {getattr(hint, '__name__', hint)} (a mapping with its _target_)")

@@ -1,0 +1,313 @@
+"""The biped's numbers against the published ones, its behaviour under the servos, and what `Robot` makes of an MJCF."""
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from gctd3 import Robot
+from gctd3.errors import RobotError
+
+SIDES = ("right", "left")
+MASSES = {"body": 4.0200, "thigh": 1.7324, "shank": 0.7527, "foot": 0.4111}  # kg, Table 1
+INERTIAS = {  # com (x, z) in m; Ixx, Iyy, Izz in kg m^2: the authors' URDF
+    "body": ((0.0, -0.04), (0.0155, 0.0164, 0.0219)),
+    "thigh": ((0.0, -0.0827), (0.0158, 0.0164, 0.0019)),
+    "shank": ((0.0, -0.1098), (0.0057, 0.0056, 0.0005)),
+    "foot": ((0.0229, -0.0416), (0.0006, 0.0012, 0.0013)),
+}
+RANGES = {"hip": (-0.7854, 0.7854), "knee": (-1.3962, 0.0012), "ankle": (-0.7854, 0.7854)}  # rad, Table 2
+GAINS = {"hip": (50.0, 10.0), "knee": (50.0, 3.0), "ankle": (63.0, 1.0)}  # P, D: the authors' controllers
+EFFORT, SPEED = 30.0, 7.0  # N m, rad/s: the authors' URDF
+DROP = 0.0235  # m, soles above the ground at qpos 0
+ACTIONS = ("hip_right", "knee_right", "ankle_right", "hip_left", "knee_left", "ankle_left")
+
+TWO_LEGS = """
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1"/>
+    <body name="torso" pos="0 0 1">
+      <joint name="x" type="slide" axis="1 0 0"/>
+      <joint name="z" type="slide" axis="0 0 1"/>
+      <geom name="torso" size="0.1"/>
+      <body name="leg_r" pos="0 -0.1 0">
+        <joint name="hip_r" axis="0 -1 0"/>
+        <geom name="leg_r" type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02"/>
+      </body>
+      <body name="leg_l" pos="0 0.1 0">
+        <joint name="hip_l" axis="0 1 0"/>
+        <geom name="leg_l" type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="hip_r" joint="hip_r" ctrlrange="-1 1"/>
+    <position name="hip_l" joint="hip_l" ctrlrange="-1 1"/>
+  </actuator>
+  <sensor>
+    <contact body1="leg_r" geom2="floor" data="found"/>
+    <contact body1="leg_l" geom2="floor" data="found"/>
+  </sensor>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def biped() -> Robot:
+    return Robot.from_mjcf("biped")
+
+
+@pytest.fixture
+def floating() -> mujoco.MjModel:
+    model = Robot.from_mjcf("biped").model
+    model.opt.gravity[:] = 0.0
+    return model
+
+
+def in_the_air(model: mujoco.MjModel) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    data.joint("root_z").qpos[0] = 1.0
+    return data
+
+
+def kind(name: str) -> str:
+    return name.split("_")[0]
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "robot.xml"
+    path.write_text(text)
+    return path
+
+
+# Published numbers.
+
+
+@pytest.mark.parametrize("link", [f"{part}_{side}" for part in ("thigh", "shank", "foot") for side in SIDES] + ["body"])
+def test_masses_and_inertias_are_the_published_ones(biped, link):
+    body = biped.model.body(link)
+    (x, z), inertia = INERTIAS[kind(link)]
+    assert body.mass[0] == pytest.approx(MASSES[kind(link)])
+    np.testing.assert_allclose(body.ipos, (x, 0.0, z))
+    np.testing.assert_allclose(body.iquat, (1, 0, 0, 0))
+    np.testing.assert_allclose(body.inertia, inertia)
+
+
+def test_geoms_add_no_mass(biped):
+    # 4.0200 + 2 (1.7324 + 0.7527 + 0.4111) = 9.8124
+    assert biped.model.body_mass.sum() == pytest.approx(9.8124)
+
+
+def test_heights_at_qpos_0(biped):
+    data = mujoco.MjData(biped.model)
+    mujoco.mj_forward(biped.model, data)
+    assert data.body("body").xpos[2] == pytest.approx(0.653)
+    for side, y in zip(SIDES, (-0.1, 0.1), strict=True):
+        np.testing.assert_allclose(data.joint(f"hip_{side}").xanchor, (0.0, y, 0.613), atol=1e-9)
+        assert data.joint(f"ankle_{side}").xanchor[2] == pytest.approx(0.0935)
+        sole = data.geom(f"foot_{side}").xpos[2] - biped.model.geom(f"foot_{side}").size[2]
+        assert sole == pytest.approx(DROP)
+        length = 2 * biped.model.geom(f"foot_{side}").size[0]
+        assert length == pytest.approx(0.153, abs=0.003)
+    assert biped.standing_qpos[biped.vertical] == pytest.approx(-DROP)
+
+
+def test_joints_servos_and_limits(biped):
+    assert tuple(joint.name for joint in biped.joints) == ACTIONS  # depth first: right leg, left leg
+    assert biped.actuated == biped.action_names == ACTIONS
+    np.testing.assert_allclose(biped.action_range, [RANGES[kind(name)] for name in ACTIONS])
+    for joint in biped.joints:
+        assert joint.range == pytest.approx(RANGES[kind(joint.name)])
+        p, d = GAINS[kind(joint.name)]
+        servo = biped.model.actuator(joint.name)
+        np.testing.assert_allclose(servo.gainprm[:3], (p, 0, 0))
+        np.testing.assert_allclose(servo.biasprm[:3], (0, -p, -d))
+        np.testing.assert_allclose(servo.forcerange, (-EFFORT, EFFORT))
+        back_emf = 0.0 if kind(joint.name) == "hip" else EFFORT / SPEED
+        assert biped.model.joint(joint.name).damping[0] == pytest.approx(back_emf, rel=1e-4)
+        assert biped.model.joint(joint.name).frictionloss[0] == 0.0
+
+
+def test_physics_steps_fit_50_hz_and_depend_on_the_state_alone(biped):
+    assert biped.model.opt.timestep == pytest.approx(0.02 / 4)
+    assert biped.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_WARMSTART
+    assert biped.model.geom("ground").friction[0] == biped.model.geom("foot_right").friction[0] == 1.0
+
+
+@pytest.mark.parametrize("joint, axis", [("hip", 0), ("knee", 0), ("ankle", 2)])
+def test_positive_is_thigh_forward_knee_stretched_toes_up(biped, joint, axis):
+    data = mujoco.MjData(biped.model)
+    sole = []
+    for angle in (-0.1, 0.0):
+        data.joint(f"{joint}_right").qpos[0] = angle
+        mujoco.mj_forward(biped.model, data)
+        sole.append(data.geom("foot_right").xpos[axis])
+    assert sole[1] - sole[0] > 1e-3
+
+
+def test_every_element_is_named(biped):
+    model = biped.model
+    for element, count in {
+        mujoco.mjtObj.mjOBJ_BODY: model.nbody,
+        mujoco.mjtObj.mjOBJ_JOINT: model.njnt,
+        mujoco.mjtObj.mjOBJ_GEOM: model.ngeom,
+        mujoco.mjtObj.mjOBJ_ACTUATOR: model.nu,
+        mujoco.mjtObj.mjOBJ_SENSOR: model.nsensor,
+        mujoco.mjtObj.mjOBJ_CAMERA: model.ncam,
+    }.items():
+        names = [mujoco.mj_id2name(model, element, i) for i in range(count)]
+        assert count > 0 and all(names), f"{element.name}: {names}"
+
+
+# Behaviour.
+
+
+def test_stands_still_for_5_s(biped):
+    data = mujoco.MjData(biped.model)
+    data.qpos[:] = biped.standing_qpos
+    for _ in range(1000):
+        mujoco.mj_step(biped.model, data)
+        assert abs(data.qpos[biped.vertical] + DROP) < 0.002
+    assert (data.sensordata[biped.contact_sensors(biped.feet)] > 0).all()
+
+
+@pytest.mark.parametrize("name", ACTIONS)
+def test_servo_follows_a_step_within_1_s(floating, name):
+    target = -0.3 if kind(name) == "knee" else 0.3
+    data = in_the_air(floating)
+    data.actuator(name).ctrl[0] = target
+    for _ in range(200):
+        mujoco.mj_step(floating, data)
+    assert data.joint(name).qpos[0] == pytest.approx(target, rel=0.02)
+
+
+@pytest.mark.parametrize("name", ACTIONS)
+@pytest.mark.parametrize("start, end", [(0, 1), (1, 0)])
+def test_servo_driven_full_swing_stays_below_7_rad_s(floating, name, start, end):
+    data = in_the_air(floating)
+    limits = RANGES[kind(name)]
+    data.joint(name).qpos[0], data.actuator(name).ctrl[0] = limits[start], limits[end]
+    fastest = 0.0
+    for _ in range(400):
+        mujoco.mj_step(floating, data)
+        fastest = max(fastest, abs(data.joint(name).qvel[0]))
+    assert 5.0 < fastest <= SPEED
+
+
+def test_nothing_explodes_under_random_targets(biped):
+    model, (low, high) = biped.model, biped.action_range.T
+    fallen = biped.contact_sensors(biped.other_contact_bodies)
+    rng, data = np.random.default_rng(0), mujoco.MjData(model)
+    speeds = []
+    for step in range(10_000):
+        if step % 5 == 0:
+            data.ctrl[:] = rng.uniform(low, high)
+        for _ in range(4):
+            mujoco.mj_step(model, data)
+            speeds.append(np.abs(data.qvel))
+        if data.qpos[biped.vertical] + DROP < -0.1 or data.sensordata[fallen].any():
+            mujoco.mj_resetData(model, data)
+    speeds = np.array(speeds)
+    assert np.isfinite(speeds).all() and not any(warning.number for warning in data.warning)
+    joints = speeds[:, [joint.qvel for joint in biped.joints]]
+    assert speeds[:, [biped.forward, biped.vertical]].max() < 5.0
+    assert joints.max() < 20.0
+    assert (np.percentile(joints, 99, axis=0) < 7.5).all()
+
+
+# The left/right mirror.
+
+
+def test_mirror_names_and_actions(biped):
+    assert biped.mirror_name("hip_right") == "hip_left" and biped.mirror_name("foot_left") == "foot_right"
+    assert biped.mirror_name("body") == "body"
+    order, sign = biped.action_mirror
+    assert order.tolist() == [3, 4, 5, 0, 1, 2] and sign.tolist() == [1.0] * 6
+
+
+def test_mirrored_actions_make_the_mirrored_walk(biped):
+    order, sign = biped.action_mirror
+    rng = np.random.default_rng(0)
+    data, mirrored = mujoco.MjData(biped.model), mujoco.MjData(biped.model)
+    for _ in range(20):
+        action = rng.uniform(-0.3, 0.3, 6)
+        data.ctrl[:], mirrored.ctrl[:] = action, sign * action[order]
+        mujoco.mj_step(biped.model, data, 4)
+        mujoco.mj_step(biped.model, mirrored, 4)
+    joints = [joint.qpos for joint in biped.joints]
+    assert np.abs(data.qpos[joints] - mirrored.qpos[joints]).max() > 0.05
+    np.testing.assert_allclose(data.qpos[joints], (sign * mirrored.qpos[joints][order]), atol=1e-5)
+    np.testing.assert_allclose(data.qpos[:2], mirrored.qpos[:2], atol=1e-5)
+
+
+def test_mirror_sign_of_opposite_axes_and_short_side_names(tmp_path):
+    robot = Robot.from_mjcf(write(tmp_path, TWO_LEGS))
+    order, sign = robot.action_mirror
+    assert order.tolist() == [1, 0] and sign.tolist() == [-1.0, -1.0]  # axes 0 -1 0 and 0 1 0
+
+
+# What `Robot` reads.
+
+
+def test_reads_base_legs_feet_and_sensors(biped):
+    assert (biped.root, biped.forward, biped.vertical) == ("body", 0, 1)
+    assert biped.feet == ("foot_right", "foot_left")
+    assert [[joint.name for joint in leg] for leg in biped.legs] == [list(ACTIONS[:3]), list(ACTIONS[3:])]
+    assert biped.joint("knee_left").parent == "hip_left" and biped.joint("hip_left").parent is None
+    assert biped.contact_sensors(biped.feet).tolist() == [0, 1]
+    assert set(biped.other_contact_bodies) == {"body", *(f"{part}_{s}" for part in ("thigh", "shank") for s in SIDES)}
+
+
+def test_feet_are_the_legs_ends_unless_chosen(tmp_path):
+    path = write(tmp_path, TWO_LEGS)
+    assert Robot.from_mjcf(path).feet == ("leg_r", "leg_l")
+    assert Robot.from_mjcf(path, feet=["leg_l"]).feet == ("leg_l",)
+
+
+def test_fingerprint_follows_the_text(tmp_path):
+    one = Robot.from_mjcf(write(tmp_path, TWO_LEGS)).fingerprint
+    assert Robot.from_mjcf(write(tmp_path, TWO_LEGS)).fingerprint == one
+    assert Robot.from_mjcf(write(tmp_path, TWO_LEGS.replace("0.5", "0.6"))).fingerprint != one
+
+
+# Errors name the file and the element.
+
+SECOND_ROOT = '<body name="extra" pos="2 0 1"><joint name="extra" type="slide"/><geom size="0.1"/></body></worldbody>'
+BAD = {
+    "unparsable": (lambda text: text.replace("</actuator>", ""), "not an MJCF"),
+    "no actuator": (lambda text: re.sub("<actuator>.*</actuator>", "", text, flags=re.DOTALL), "no actuator"),
+    "no sensor": (lambda text: re.sub(r'<contact body1="leg_l".*?/>', "", text), "contact sensor for leg_l"),
+    "two roots": (lambda text: text.replace("</worldbody>", SECOND_ROOT), "torso, extra"),
+    "no ctrlrange": (lambda text: text.replace('joint="hip_l" ctrlrange="-1 1"', 'joint="hip_l"'), "'hip_l' needs"),
+    "slide in a leg": (lambda text: text.replace('name="hip_l" axis', 'type="slide" name="hip_l" axis'), "'hip_l'"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_unusable_mjcf(tmp_path, case):
+    spoil, element = BAD[case]
+    text = spoil(TWO_LEGS)
+    assert text != TWO_LEGS
+    path = write(tmp_path, text)
+    with pytest.raises(RobotError, match=re.escape(element)) as error:
+        Robot.from_mjcf(path)
+    assert str(path) in str(error.value)
+
+
+def test_missing_files_and_unknown_names(tmp_path, biped):
+    with pytest.raises(RobotError, match=re.escape(str(tmp_path / "none.xml"))):
+        Robot.from_mjcf(tmp_path / "none.xml")
+    with pytest.raises(RobotError, match=r"'quadruped'.*biped"):
+        Robot.from_mjcf("quadruped")
+    with pytest.raises(RobotError, match=r"biped\.xml has no body toe; its bodies are .*foot_left"):
+        Robot.from_mjcf("biped", feet=["toe"])
+    with pytest.raises(RobotError, match=r"biped\.xml has no joint 'toe'; it has hip_right"):
+        biped.joint("toe")
+
+
+def test_base_without_a_slide_along_z(tmp_path):
+    robot = Robot.from_mjcf(write(tmp_path, TWO_LEGS.replace('<joint name="z" type="slide" axis="0 0 1"/>', "")))
+    with pytest.raises(RobotError, match=r"robot\.xml: the root body 'torso' has no slide joint along z"):
+        _ = robot.vertical
