@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import sys
@@ -21,6 +22,7 @@ from gctd3.settings import suggest
 
 CONF = "gctd3.conf"
 USAGE_ERROR = 2
+_USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError)
 
 
 def command(config: str, task: Callable[[DictConfig], None]) -> None:
@@ -40,19 +42,35 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
     # Hydra would print and exit; this way its errors come here, to be said in the library's words.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
-        hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(task)()
-    except GCTD3Error as error:
-        _fail(str(error))
-    except (HydraException, OmegaConfBaseException) as error:
+        hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
+    except _USER_ERRORS as error:
         _fail(explain(error, config))
-    except OSError as error:
-        _fail(f"{error.strerror}: {error.filename}" if error.filename else str(error))
+
+
+def _guarded(task: Callable[[DictConfig], None], config: str) -> Callable[[DictConfig], None]:
+    """``task``, with its errors said here: Hydra would announce them with a line of its own."""
+
+    @functools.wraps(task)
+    def guarded(settings: DictConfig) -> None:
+        try:
+            task(settings)
+        except _USER_ERRORS as error:
+            _fail(explain(error, config))
+
+    return guarded
 
 
 def explain(error: Exception, config: str) -> str:
-    """What Hydra's error says, and for an unknown key the nearest known ones."""
+    """What an error says, in a line or two; for an unknown key with the nearest known one."""
+    if isinstance(error, GCTD3Error):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"{error.strerror}: {error.filename}" if error.filename else str(error)
     causes = [str(error), *([str(error.__cause__)] if error.__cause__ else [])]
     text = "\n".join(line for line in "\n".join(causes).splitlines() if line.strip())
+    missing = re.search(r"Missing mandatory value: (\S+)", text)
+    if missing:
+        return f"{missing.group(1)}=... is required; --help shows how."
     unknown = re.search(r"full_key: (\S+)", text) if "is not in struct" in text else None
     if unknown is None:
         return text

@@ -17,3 +17,7 @@ class ConfigError(GCTD3Error, ValueError):
 
 class RunError(GCTD3Error, ValueError):
     """A run directory or checkpoint is missing, incomplete or of another version."""
+
+
+class RenderError(GCTD3Error, RuntimeError):
+    """Nothing can be drawn here."""

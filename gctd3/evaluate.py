@@ -4,21 +4,29 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import torch
+from omegaconf import DictConfig
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from gctd3 import gait_metrics
+from gctd3.cli import command
 from gctd3.envs.factory import build_env
 from gctd3.envs.gait import FEATURES, Reward
 from gctd3.errors import ConfigError
+from gctd3.graph import KinematicGraph
 from gctd3.robot import Robot
+from gctd3.settings import build
 
+# Table 5 of the paper, column GCTD3. Its body position seems to count from the spawn height, 0.0235 m above standing.
+PAPER = {"return_mean": 380.0, "return_std": 18.47, "velocity_mean": 1.414, "body_position_mean": -0.0202}
+PACKAGES = ("gctd3", "torch", "torchrl", "tensordict", "mujoco", "dm-control", "numpy")
 LAST_METRES = 10.0  # over which gaits are judged, so that the start does not count
 
 
@@ -111,7 +119,7 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int
         seed: Of the starts: equal seeds, equal starts.
         control_dt: Control period (s).
     """
-    names = list(_node_names(robot))
+    names = KinematicGraph.from_robot(robot).nodes
     hips = [names.index(leg[0].name) for leg in robot.legs]
     count = env.batch_size[0]
     alive = torch.ones(count, dtype=torch.bool)
@@ -145,7 +153,107 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int
     return Evaluation(episodes, control_dt)
 
 
-def _node_names(robot: Robot) -> tuple[str, ...]:
-    from gctd3.graph import KinematicGraph
 
-    return KinematicGraph.from_robot(robot).nodes
+@dataclass(frozen=True)
+class EvaluateSettings:
+    """What ``gctd3.evaluate`` is asked to do.
+
+    Attributes:
+        run: Directory of the run.
+        reward: Under which to judge.
+        episodes: How many, each from its own start.
+        seed: Of the starts.
+        threads: That simulate; all cores if ``None``.
+    """
+
+    run: str
+    reward: Reward
+    episodes: int = 50
+    seed: int = 10_000
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.episodes < 1:
+            raise ConfigError(f"episodes must be at least 1, got {self.episodes}.")
+        if self.seed < 0:
+            raise ConfigError(f"seed must be at least 0, got {self.seed}.")
+
+
+def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
+    """Judge the best policy of a run and write ``evaluation.json`` beside it.
+
+    Returns:
+        What was written.
+
+    Raises:
+        RunError: If the directory is not a run, or one of another version.
+    """
+    from gctd3.checkpoint import load_policy, load_settings
+
+    run = Path(settings.run)
+    trained = load_settings(run)
+    policy = load_policy(run)
+    robot = trained.load_robot()
+    judged = replace(trained.env, backend="batched", num_envs=settings.episodes, threads=settings.threads)
+    env = build_env(robot, judged, settings.reward, settings.seed)
+    result = evaluate(policy, env, robot, settings.seed, judged.control_dt)
+    report: dict[str, object] = {
+        **result.summary(),
+        "gait": result.gait(),
+        "seeds": {"training": trained.seed, "evaluation": settings.seed},
+        "versions": {package: version(package) for package in PACKAGES},
+    }
+    (run / "evaluation.json").write_text(json.dumps(_finite(report), indent=2) + "\n", encoding="utf-8")
+    return report
+
+
+def table(report: dict[str, object]) -> str:
+    """The report beside the paper's row."""
+    rows = [
+        ("episodes", "episodes", "{:.0f}", None),
+        ("return", "return_mean", "{:.1f}", "return_std"),
+        ("velocity, m/s", "velocity_mean", "{:.3f}", None),
+        ("distance, m", "distance_mean", "{:.2f}", None),
+        ("success rate", "success_rate", "{:.2f}", None),
+        ("body position, m from standing", "body_position_mean", "{:.4f}", None),
+    ]
+    lines = [f"{'':34}{'this policy':>18}{'paper, GCTD3':>18}"]
+
+    def cell(values: dict[str, object], key: str, form: str, spread: str | None) -> str:
+        if key not in values:
+            return "-"
+        text = form.format(values[key])
+        return f"{text} ± {form.format(values[spread])}" if spread else text
+
+    paper: dict[str, object] = {**PAPER, "episodes": 50}
+    for label, key, form, spread in rows:
+        lines.append(f"{label:34}{cell(report, key, form, spread):>18}{cell(paper, key, form, spread):>18}")
+    gait = report["gait"]
+    if not isinstance(gait, dict) or not gait:
+        return "\n".join([*lines, f"No episode got {LAST_METRES:.0f} m far, so there is no gait to measure."])
+    lines += ["", f"Gait over the last {LAST_METRES:.0f} m of {gait['episodes']:.0f} episodes"]
+    lines += [f"{key.replace('_', ' '):34}{value:>18.3f}" for key, value in gait.items() if key != "episodes"]
+    return "\n".join(lines)
+
+
+def _finite(value: object) -> object:
+    """``value`` with undefined numbers as ``null``, which JSON can hold."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _task(config: DictConfig) -> None:
+    settings: EvaluateSettings = build(config)
+    report = evaluate_run(settings)
+    print(table(report))
+    print(f"\nWritten to {Path(settings.run) / 'evaluation.json'}")
+
+
+def main() -> None:
+    """Entry point of ``python -m gctd3.evaluate``."""
+    command("evaluate", _task)
+
+
+if __name__ == "__main__":
+    main()

@@ -26,7 +26,9 @@ def build(config: DictConfig | Mapping[str, Any]) -> Any:  # noqa: ANN401 - what
     Raises:
         ConfigError: If a key is unknown or missing, or a value has the wrong type or is out of range.
     """
-    plain = OmegaConf.to_container(config, resolve=True) if isinstance(config, DictConfig) else dict(config)
+    plain: Any = config
+    if isinstance(config, DictConfig):
+        plain = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     return _build(plain, "")
 
 

@@ -18,11 +18,12 @@ def train(config: DictConfig) -> None:
 
     settings = build(config)
     directory = Path(HydraConfig.get().runtime.output_dir)
+    trainer = Trainer(settings, directory)
     OmegaConf.resolve(config)
     OmegaConf.save(config, directory / ".hydra" / "config.yaml")
     print(OmegaConf.to_yaml(config))
     print(f"Run directory: {directory}\n", flush=True)
-    best = Trainer(settings, directory).run()
+    best = trainer.run()
     print(
         f"\nBest evaluation, after {best['frames']:,.0f} steps and {best['wall_s'] / 60:.1f} minutes: "
         f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}, success {best['success_rate']:.0%}, "

@@ -249,7 +249,7 @@ class Trainer:
         # The policy acts and learns in one process: the collector must not hold a copy of it.
         began, frames, in_a_row = time.monotonic(), 0, 0
         next_evaluation = max(settings.evaluation.every, settings.exploration.warmup_frames)
-        with tqdm(total=settings.total_frames, unit=" steps", unit_scale=True, smoothing=0.05) as bar:
+        with tqdm(total=settings.total_frames, unit=" steps", unit_scale=True, smoothing=0.05, mininterval=0.5, dynamic_ncols=True) as bar:
             for collected in collector:
                 frames += collected.numel()
                 self.replay.extend(collected)

@@ -63,9 +63,6 @@ def random_walk(rng, steps, shape):
     ]
 
 
-# The reward, term by term.
-
-
 def test_reward_of_three_steps(task):
     drop = sense(z=0.0235, feet=(False, False))
     one = sense(y=0.01, z=-0.005, v=0.5, feet=(True, False))
@@ -108,9 +105,6 @@ def test_fall(task, now, falls):
     assert outcome.terms["fall"] == -10.0 * falls
     assert outcome.terminated == falls
     assert not outcome.truncated
-
-
-# The endings.
 
 
 @pytest.mark.parametrize("foot", [RIGHT, LEFT])
@@ -172,16 +166,13 @@ def test_finish_and_time_limit_truncate_unless_the_robot_falls(task, taken, now,
     assert (outcome.terminated, outcome.truncated, outcome.success) == (terminated, truncated, success)
 
 
-# Shaping.
-
-
 def test_shaping_of_one_step(robot):
     task = WalkingTask(robot, Reward(antiphase=0.3, single_support=0.2, overspeed=0.5))
     fast, slow = sense(v=1.7, hips=(0.2, -0.5)), sense(v=1.1, hips=(0.4, -0.4), feet=(True, True))
     _, outcomes = walk(task, sense(), fast, slow, sense(feet=(False, False)))
     # -0.3 * |0.2 - 0.5|, one foot down, -0.5 * (1.7 - 1.2).
-    shaping = [[float(o.terms[name]) for name in ("antiphase", "single_support", "overspeed")] for o in outcomes]
-    assert sum(shaping, []) == pytest.approx([-0.09, 0.2, -0.25, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    shaping = [[float(o.terms[name]) for o in outcomes] for name in ("antiphase", "single_support", "overspeed")]
+    np.testing.assert_allclose(shaping, [[-0.09, 0, 0], [0.2, 0, 0], [-0.25, 0, 0]], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -191,7 +182,6 @@ def test_shaping_of_one_step(robot):
         (15, (True, False), 2.0 * (0.30 - 0.25)),
         (30, (True, False), 2.0 * (0.35 - 0.25)),  # 0.6 s, of which 0.35 s count
         (15, (True, True), 2 * 2.0 * (0.30 - 0.25)),
-        (15, (False, False), 0.0),
     ],
 )
 def test_air_time_is_paid_at_touchdown(robot, steps_in_air, landing, bonus):
@@ -202,22 +192,16 @@ def test_air_time_is_paid_at_touchdown(robot, steps_in_air, landing, bonus):
     assert paid == pytest.approx([0.0] * steps_in_air + [bonus, 0.0])
 
 
-# What is sensed.
-
-
 def test_measure_reads_the_simulator(task):
     # qpos: x, z (standing is -0.0235), six joints. Sensors: both feet, then body, thighs and shanks.
     qpos = np.array([1.5, -0.0335, 0.1, -0.2, 0.3, -0.4, -0.5, 0.6])
     now = task.measure(qpos, 10.0 * qpos, np.array([0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     assert (now.position, now.height, now.velocity) == pytest.approx((1.5, -0.01, 15.0))
-    np.testing.assert_array_equal(now.angles, qpos[2:])
-    np.testing.assert_array_equal(now.velocities, 10.0 * qpos[2:])
-    assert now.feet_down.tolist() == [False, True]
-    assert not now.other_down
-    assert (
-        task.measure(np.stack([qpos] * 7), np.stack([qpos] * 7), np.eye(7)).other_down.tolist()
-        == [False] * 2 + [True] * 5
-    )
+    np.testing.assert_array_equal([now.angles, now.velocities], [qpos[2:], 10.0 * qpos[2:]])
+    assert (now.feet_down.tolist(), bool(now.other_down)) == ([False, True], False)
+    # Row i feels its sensor i only.
+    rows = task.measure(np.tile(qpos, (7, 1)), np.tile(qpos, (7, 1)), np.eye(7))
+    assert rows.other_down.tolist() == [False] * 2 + [True] * 5
 
 
 def test_node_features_of_the_biped(task):
@@ -239,8 +223,6 @@ def test_counters(task):
     progress, _ = task.advance(progress, sense(hips=(-0.1, 0.1), feet=(False, True)))
     assert task.counters(progress) == pytest.approx(np.array([-1 / 40, 1 / 40, -1 / 50, 1 / 50]))
 
-
-# Invariants.
 
 SHAPED = Reward(antiphase=0.3, single_support=0.2, overspeed=0.5, air_time=2.0)
 SEEDS = st.integers(0, 2**32 - 1)
@@ -292,23 +274,14 @@ def test_where_takes_the_other_progress_of_chosen_robots(task):
         np.testing.assert_array_equal(getattr(merged, name)[[0, 2]], getattr(old, name)[[0, 2]], err_msg=name)
 
 
-# Errors.
-
-
 @pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        (lambda: Reward(progress_steps=0), r"reward\.progress_steps must be at least 1, got 0"),
-        (lambda: Reward(frames=0), r"reward\.frames must be at least 1, got 0"),
-        (lambda: Endings(contact_steps=0), r"endings\.contact_steps must be at least 1, got 0"),
-        (lambda: Endings(hip_steps=-3), r"endings\.hip_steps must be at least 1, got -3"),
-        (lambda: Endings(time_limit=0), r"endings\.time_limit must be at least 1, got 0"),
-        (lambda: Endings(finish=0.0), r"endings\.finish must be a distance above 0 m, got 0\.0"),
-    ],
+    ("settings", "names"),
+    [(Reward, ("progress_steps", "frames")), (Endings, ("contact_steps", "hip_steps", "time_limit", "finish"))],
 )
-def test_bad_settings_say_what_is_wanted(settings, message):
-    with pytest.raises(ConfigError, match=message):
-        settings()
+def test_bad_settings_are_named(settings, names):
+    for name in names:
+        with pytest.raises(ConfigError, match=rf"{settings.__name__.lower()}\.{name} must be .*, got 0\."):
+            settings(**{name: 0})
 
 
 def test_a_robot_with_one_foot_is_refused():

@@ -203,11 +203,12 @@ def test_edgeless_and_complete():
 
 
 def test_random_has_as_many_edges_as_the_tree_and_follows_its_seed(graph):
-    graphs = [KinematicGraph.from_mjcf("biped", "random", seed) for seed in (0, 0, 1)]
-    assert all(not graph.directed and len(graph.edges) == len(graph.edges) for graph in graphs)
-    np.testing.assert_array_equal(graphs[0].adjacency, graphs[1].adjacency)
-    assert not np.array_equal(graphs[0].adjacency, graphs[2].adjacency)
-    assert not np.array_equal(graphs[0].adjacency, graph.adjacency)
+    drawn = [KinematicGraph.from_mjcf("biped", "random", seed) for seed in (0, 0, 1)]
+    assert [len(one.edges) for one in drawn] == [len(graph.edges)] * 3 == [8] * 3
+    assert not any(one.directed for one in drawn)
+    np.testing.assert_array_equal(drawn[0].adjacency, drawn[1].adjacency)
+    assert not np.array_equal(drawn[0].adjacency, drawn[2].adjacency)
+    assert not np.array_equal(drawn[0].adjacency, graph.adjacency)
 
 
 @pytest.mark.parametrize("preset", PRESETS)

@@ -75,6 +75,9 @@ def test_three_nodes_by_hand():
         layer.weight.fill_(10.0)
         layer.bias.fill_(1.0)
     assert layer(torch.tensor([[2.0], [4.0], [6.0]])).tolist() == [[31.0], [31.0], [61.0]]
+    # Of a directed graph: P[a, b] = 1 and nothing else, so a takes in b, and b nothing.
+    layer.propagation.zero_()[0, 1] = 1.0
+    assert layer(torch.tensor([[2.0], [4.0], [6.0]])).tolist() == [[41.0], [1.0], [1.0]]
 
 
 def test_permuting_the_nodes_permutes_the_output():

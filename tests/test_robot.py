@@ -29,8 +29,7 @@ TWO_LEGS = """
   <worldbody>
     <geom name="floor" type="plane" size="0 0 1"/>
     <body name="torso" pos="0 0 1">
-      <joint name="x" type="slide" axis="1 0 0"/>
-      <joint name="z" type="slide" axis="0 0 1"/>
+      <joint name="x" type="slide" axis="1 0 0"/> <joint name="z" type="slide" axis="0 0 1"/>
       <geom name="torso" size="0.1"/>
       <body name="leg_r" pos="0 -0.1 0">
         <joint name="hip_r" axis="0 -1 0"/>
@@ -43,20 +42,13 @@ TWO_LEGS = """
     </body>
   </worldbody>
   <actuator>
-    <position name="hip_r" joint="hip_r" ctrlrange="-1 1"/>
-    <position name="hip_l" joint="hip_l" ctrlrange="-1 1"/>
+    <position name="hip_r" joint="hip_r" ctrlrange="-1 1"/> <position name="hip_l" joint="hip_l" ctrlrange="-1 1"/>
   </actuator>
   <sensor>
-    <contact body1="leg_r" geom2="floor" data="found"/>
-    <contact body1="leg_l" geom2="floor" data="found"/>
+    <contact body1="leg_r" geom2="floor" data="found"/> <contact body1="leg_l" geom2="floor" data="found"/>
   </sensor>
 </mujoco>
 """
-
-
-@pytest.fixture(scope="module")
-def biped() -> Robot:
-    return Robot.from_mjcf("biped")
 
 
 @pytest.fixture
@@ -72,7 +64,7 @@ def in_the_air(model: mujoco.MjModel) -> mujoco.MjData:
     return data
 
 
-def kind(name: str) -> str:
+def kind(name: str) -> str:  # of a link or joint: its name without the side
     return name.split("_")[0]
 
 
@@ -86,8 +78,8 @@ def write(folder: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("link", [f"{part}_{side}" for part in ("thigh", "shank", "foot") for side in SIDES] + ["body"])
-def test_masses_and_inertias_are_the_published_ones(biped, link):
-    body = biped.model.body(link)
+def test_masses_and_inertias_are_the_published_ones(robot, link):
+    body = robot.model.body(link)
     (x, z), inertia = INERTIAS[kind(link)]
     assert body.mass[0] == pytest.approx(MASSES[kind(link)])
     np.testing.assert_allclose(body.ipos, (x, 0.0, z))
@@ -95,82 +87,73 @@ def test_masses_and_inertias_are_the_published_ones(biped, link):
     np.testing.assert_allclose(body.inertia, inertia)
 
 
-def test_geoms_add_no_mass(biped):
-    # 4.0200 + 2 (1.7324 + 0.7527 + 0.4111) = 9.8124
-    assert biped.model.body_mass.sum() == pytest.approx(9.8124)
-
-
-def test_heights_at_qpos_0(biped):
-    data = mujoco.MjData(biped.model)
-    mujoco.mj_forward(biped.model, data)
+def test_total_mass_and_heights_at_qpos_0(robot):
+    # 4.0200 + 2 (1.7324 + 0.7527 + 0.4111) kg: geoms add none
+    assert robot.model.body_mass.sum() == pytest.approx(9.8124)
+    data = mujoco.MjData(robot.model)
+    mujoco.mj_forward(robot.model, data)
     assert data.body("body").xpos[2] == pytest.approx(0.653)
     for side, y in zip(SIDES, (-0.1, 0.1), strict=True):
         np.testing.assert_allclose(data.joint(f"hip_{side}").xanchor, (0.0, y, 0.613), atol=1e-9)
         assert data.joint(f"ankle_{side}").xanchor[2] == pytest.approx(0.0935)
-        sole = data.geom(f"foot_{side}").xpos[2] - biped.model.geom(f"foot_{side}").size[2]
+        sole = data.geom(f"foot_{side}").xpos[2] - robot.model.geom(f"foot_{side}").size[2]
         assert sole == pytest.approx(DROP)
-        length = 2 * biped.model.geom(f"foot_{side}").size[0]
+        length = 2 * robot.model.geom(f"foot_{side}").size[0]
         assert length == pytest.approx(0.153, abs=0.003)
-    assert biped.standing_qpos[biped.vertical] == pytest.approx(-DROP)
+    assert robot.standing_qpos[robot.vertical] == pytest.approx(-DROP)
 
 
-def test_joints_servos_and_limits(biped):
-    assert tuple(joint.name for joint in biped.joints) == ACTIONS  # depth first: right leg, left leg
-    assert biped.actuated == biped.action_names == ACTIONS
-    np.testing.assert_allclose(biped.action_range, [RANGES[kind(name)] for name in ACTIONS])
-    for joint in biped.joints:
+def test_joints_servos_and_limits(robot):
+    assert tuple(joint.name for joint in robot.joints) == ACTIONS  # depth first: right leg, left leg
+    assert robot.actuated == robot.action_names == ACTIONS
+    np.testing.assert_allclose(robot.action_range, [RANGES[kind(name)] for name in ACTIONS])
+    for joint in robot.joints:
         assert joint.range == pytest.approx(RANGES[kind(joint.name)])
         p, d = GAINS[kind(joint.name)]
-        servo = biped.model.actuator(joint.name)
+        servo = robot.model.actuator(joint.name)
         np.testing.assert_allclose(servo.gainprm[:3], (p, 0, 0))
         np.testing.assert_allclose(servo.biasprm[:3], (0, -p, -d))
         np.testing.assert_allclose(servo.forcerange, (-EFFORT, EFFORT))
         back_emf = 0.0 if kind(joint.name) == "hip" else EFFORT / SPEED
-        assert biped.model.joint(joint.name).damping[0] == pytest.approx(back_emf, rel=1e-4)
-        assert biped.model.joint(joint.name).frictionloss[0] == 0.0
+        assert robot.model.joint(joint.name).damping[0] == pytest.approx(back_emf, rel=1e-4)
+        assert robot.model.joint(joint.name).frictionloss[0] == 0.0
 
 
-def test_physics_steps_fit_50_hz_and_depend_on_the_state_alone(biped):
-    assert biped.model.opt.timestep == pytest.approx(0.02 / 4)
-    assert biped.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_WARMSTART
-    assert biped.model.geom("ground").friction[0] == biped.model.geom("foot_right").friction[0] == 1.0
+def test_physics_steps_fit_50_hz_and_depend_on_the_state_alone(robot):
+    assert robot.model.opt.timestep == pytest.approx(0.02 / 4)
+    assert robot.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_WARMSTART
+    assert robot.model.geom("ground").friction[0] == robot.model.geom("foot_right").friction[0] == 1.0
 
 
 @pytest.mark.parametrize("joint, axis", [("hip", 0), ("knee", 0), ("ankle", 2)])
-def test_positive_is_thigh_forward_knee_stretched_toes_up(biped, joint, axis):
-    data = mujoco.MjData(biped.model)
+def test_positive_is_thigh_forward_knee_stretched_toes_up(robot, joint, axis):
+    data = mujoco.MjData(robot.model)
     sole = []
     for angle in (-0.1, 0.0):
         data.joint(f"{joint}_right").qpos[0] = angle
-        mujoco.mj_forward(biped.model, data)
+        mujoco.mj_forward(robot.model, data)
         sole.append(data.geom("foot_right").xpos[axis])
     assert sole[1] - sole[0] > 1e-3
 
 
-def test_every_element_is_named(biped):
-    model = biped.model
-    for element, count in {
-        mujoco.mjtObj.mjOBJ_BODY: model.nbody,
-        mujoco.mjtObj.mjOBJ_JOINT: model.njnt,
-        mujoco.mjtObj.mjOBJ_GEOM: model.ngeom,
-        mujoco.mjtObj.mjOBJ_ACTUATOR: model.nu,
-        mujoco.mjtObj.mjOBJ_SENSOR: model.nsensor,
-        mujoco.mjtObj.mjOBJ_CAMERA: model.ncam,
-    }.items():
-        names = [mujoco.mj_id2name(model, element, i) for i in range(count)]
-        assert count > 0 and all(names), f"{element.name}: {names}"
+def test_every_element_is_named(robot):
+    counts = {"body": "nbody", "joint": "njnt", "geom": "ngeom", "actuator": "nu", "sensor": "nsensor"}
+    for element, count in counts.items():
+        names = [getattr(robot.model, element)(i).name for i in range(getattr(robot.model, count))]
+        assert names and all(names), f"{element}: {names}"
+    assert {robot.model.camera(i).name for i in range(robot.model.ncam)} == {"side", "three_quarter"}
 
 
 # Behaviour.
 
 
-def test_stands_still_for_5_s(biped):
-    data = mujoco.MjData(biped.model)
-    data.qpos[:] = biped.standing_qpos
+def test_stands_still_for_5_s(robot):
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.standing_qpos
     for _ in range(1000):
-        mujoco.mj_step(biped.model, data)
-        assert abs(data.qpos[biped.vertical] + DROP) < 0.002
-    assert (data.sensordata[biped.contact_sensors(biped.feet)] > 0).all()
+        mujoco.mj_step(robot.model, data)
+        assert abs(data.qpos[robot.vertical] + DROP) < 0.002
+    assert (data.sensordata[robot.contact_sensors(robot.feet)] > 0).all()
 
 
 @pytest.mark.parametrize("name", ACTIONS)
@@ -196,9 +179,9 @@ def test_servo_driven_full_swing_stays_below_7_rad_s(floating, name, start, end)
     assert 5.0 < fastest <= SPEED
 
 
-def test_nothing_explodes_under_random_targets(biped):
-    model, (low, high) = biped.model, biped.action_range.T
-    fallen = biped.contact_sensors(biped.other_contact_bodies)
+def test_nothing_explodes_under_random_targets(robot):
+    model, (low, high) = robot.model, robot.action_range.T
+    fallen = robot.contact_sensors(robot.other_contact_bodies)
     rng, data = np.random.default_rng(0), mujoco.MjData(model)
     speeds = []
     for step in range(10_000):
@@ -207,12 +190,12 @@ def test_nothing_explodes_under_random_targets(biped):
         for _ in range(4):
             mujoco.mj_step(model, data)
             speeds.append(np.abs(data.qvel))
-        if data.qpos[biped.vertical] + DROP < -0.1 or data.sensordata[fallen].any():
+        if data.qpos[robot.vertical] + DROP < -0.1 or data.sensordata[fallen].any():
             mujoco.mj_resetData(model, data)
     speeds = np.array(speeds)
     assert np.isfinite(speeds).all() and not any(warning.number for warning in data.warning)
-    joints = speeds[:, [joint.qvel for joint in biped.joints]]
-    assert speeds[:, [biped.forward, biped.vertical]].max() < 5.0
+    joints = speeds[:, [joint.qvel for joint in robot.joints]]
+    assert speeds[:, [robot.forward, robot.vertical]].max() < 5.0
     assert joints.max() < 20.0
     assert (np.percentile(joints, 99, axis=0) < 7.5).all()
 
@@ -220,44 +203,43 @@ def test_nothing_explodes_under_random_targets(biped):
 # The left/right mirror.
 
 
-def test_mirror_names_and_actions(biped):
-    assert biped.mirror_name("hip_right") == "hip_left" and biped.mirror_name("foot_left") == "foot_right"
-    assert biped.mirror_name("body") == "body"
-    order, sign = biped.action_mirror
+def test_mirror_names_and_actions(robot):
+    assert robot.mirror_name("hip_right") == "hip_left" and robot.mirror_name("foot_left") == "foot_right"
+    assert robot.mirror_name("body") == "body"
+    order, sign = robot.action_mirror
     assert order.tolist() == [3, 4, 5, 0, 1, 2] and sign.tolist() == [1.0] * 6
 
 
-def test_mirrored_actions_make_the_mirrored_walk(biped):
-    order, sign = biped.action_mirror
+def test_mirrored_actions_make_the_mirrored_walk(robot):
+    order, sign = robot.action_mirror
     rng = np.random.default_rng(0)
-    data, mirrored = mujoco.MjData(biped.model), mujoco.MjData(biped.model)
+    data, mirrored = mujoco.MjData(robot.model), mujoco.MjData(robot.model)
     for _ in range(20):
         action = rng.uniform(-0.3, 0.3, 6)
         data.ctrl[:], mirrored.ctrl[:] = action, sign * action[order]
-        mujoco.mj_step(biped.model, data, 4)
-        mujoco.mj_step(biped.model, mirrored, 4)
-    joints = [joint.qpos for joint in biped.joints]
+        mujoco.mj_step(robot.model, data, 4)
+        mujoco.mj_step(robot.model, mirrored, 4)
+    joints = [joint.qpos for joint in robot.joints]
     assert np.abs(data.qpos[joints] - mirrored.qpos[joints]).max() > 0.05
     np.testing.assert_allclose(data.qpos[joints], (sign * mirrored.qpos[joints][order]), atol=1e-5)
     np.testing.assert_allclose(data.qpos[:2], mirrored.qpos[:2], atol=1e-5)
 
 
 def test_mirror_sign_of_opposite_axes_and_short_side_names(tmp_path):
-    robot = Robot.from_mjcf(write(tmp_path, TWO_LEGS))
-    order, sign = robot.action_mirror
+    order, sign = Robot.from_mjcf(write(tmp_path, TWO_LEGS)).action_mirror
     assert order.tolist() == [1, 0] and sign.tolist() == [-1.0, -1.0]  # axes 0 -1 0 and 0 1 0
 
 
 # What `Robot` reads.
 
 
-def test_reads_base_legs_feet_and_sensors(biped):
-    assert (biped.root, biped.forward, biped.vertical) == ("body", 0, 1)
-    assert biped.feet == ("foot_right", "foot_left")
-    assert [[joint.name for joint in leg] for leg in biped.legs] == [list(ACTIONS[:3]), list(ACTIONS[3:])]
-    assert biped.joint("knee_left").parent == "hip_left" and biped.joint("hip_left").parent is None
-    assert biped.contact_sensors(biped.feet).tolist() == [0, 1]
-    assert set(biped.other_contact_bodies) == {"body", *(f"{part}_{s}" for part in ("thigh", "shank") for s in SIDES)}
+def test_reads_base_legs_feet_and_sensors(robot):
+    assert (robot.root, robot.forward, robot.vertical) == ("body", 0, 1)
+    assert robot.feet == ("foot_right", "foot_left")
+    assert [[joint.name for joint in leg] for leg in robot.legs] == [list(ACTIONS[:3]), list(ACTIONS[3:])]
+    assert robot.joint("knee_left").parent == "hip_left" and robot.joint("hip_left").parent is None
+    assert robot.contact_sensors(robot.feet).tolist() == [0, 1]
+    assert set(robot.other_contact_bodies) == {"body", *(f"{part}_{s}" for part in ("thigh", "shank") for s in SIDES)}
 
 
 def test_feet_are_the_legs_ends_unless_chosen(tmp_path):
@@ -267,9 +249,11 @@ def test_feet_are_the_legs_ends_unless_chosen(tmp_path):
 
 
 def test_fingerprint_follows_the_text(tmp_path):
-    one = Robot.from_mjcf(write(tmp_path, TWO_LEGS)).fingerprint
-    assert Robot.from_mjcf(write(tmp_path, TWO_LEGS)).fingerprint == one
-    assert Robot.from_mjcf(write(tmp_path, TWO_LEGS.replace("0.5", "0.6"))).fingerprint != one
+    same, again, other = (
+        Robot.from_mjcf(write(tmp_path, text)).fingerprint
+        for text in (TWO_LEGS, TWO_LEGS, TWO_LEGS.replace("0.5", "0.6"))
+    )
+    assert same == again != other
 
 
 # Errors name the file and the element.
@@ -296,7 +280,7 @@ def test_unusable_mjcf(tmp_path, case):
     assert str(path) in str(error.value)
 
 
-def test_missing_files_and_unknown_names(tmp_path, biped):
+def test_missing_files_and_unknown_names(tmp_path, robot):
     with pytest.raises(RobotError, match=re.escape(str(tmp_path / "none.xml"))):
         Robot.from_mjcf(tmp_path / "none.xml")
     with pytest.raises(RobotError, match=r"'quadruped'.*biped"):
@@ -304,7 +288,7 @@ def test_missing_files_and_unknown_names(tmp_path, biped):
     with pytest.raises(RobotError, match=r"biped\.xml has no body toe; its bodies are .*foot_left"):
         Robot.from_mjcf("biped", feet=["toe"])
     with pytest.raises(RobotError, match=r"biped\.xml has no joint 'toe'; it has hip_right"):
-        biped.joint("toe")
+        robot.joint("toe")
 
 
 def test_base_without_a_slide_along_z(tmp_path):

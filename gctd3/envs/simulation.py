@@ -75,6 +75,11 @@ class Simulation:
         )
         self.progress: Progress = task.begin(self.now)
 
+    @property
+    def qpos(self) -> np.ndarray:
+        """Generalised positions, shape ``[N, nq]``."""
+        return self.state[:, self._qpos]
+
     def reset(self, mask: np.ndarray) -> None:
         """Start a new episode for the robots where ``mask`` (bool ``[N]``) holds."""
         robots = np.flatnonzero(mask)
@@ -92,9 +97,8 @@ class Simulation:
                 -self.start.velocity_noise, self.start.velocity_noise, len(joints_v)
             )
             mujoco.mj_forward(model, data)
-            self.state[robot, 0] = data.time
-            self.state[robot, self._qpos] = data.qpos
-            self.state[robot, self._qvel] = data.qvel
+            # All of it: actuators can have a state of their own.
+            mujoco.mj_getState(model, data, self.state[robot], mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
             sensors[robot] = data.sensordata
         fresh = task.measure(self.state[:, self._qpos], self.state[:, self._qvel], sensors)
         pick = {name: getattr(self.now, name) for name in Measurement.__dataclass_fields__}
@@ -106,16 +110,18 @@ class Simulation:
         self.progress = self.progress.where(np.asarray(mask), task.begin(self.now))
 
     def step(self, action: np.ndarray) -> Outcome:
-        """One control step of every robot; ``action [N, A]`` in [-1, 1] maps affinely onto the servos' ranges."""
+        """One control step of every robot; ``action [N, A]`` in [-1, 1] maps affinely onto the servos' ranges.
+
+        Raises:
+            ValueError: If an action is not finite; MuJoCo would stop that robot without a word.
+        """
+        if not np.isfinite(action).all():
+            raise ValueError("Actions must be finite, got NaN or infinity: the policy that chose them has diverged.")
         desired = self._middle + self._half * np.clip(action, -1.0, 1.0)
         control = np.repeat(desired[:, None, :], self.substeps, axis=1)
-        self._pool.rollout(
-            self.model, self._data, self.state, control, state=self._states, sensordata=self._sensors
-        )
+        self._pool.rollout(self.model, self._data, self.state, control, state=self._states, sensordata=self._sensors)
         self.state = self._states[:, -1].copy()
-        self.now = self.task.measure(
-            self.state[:, self._qpos], self.state[:, self._qvel], self._sensors[:, -1].copy()
-        )
+        self.now = self.task.measure(self.state[:, self._qpos], self.state[:, self._qvel], self._sensors[:, -1].copy())
         self.progress, outcome = self.task.advance(self.progress, self.now)
         return outcome
 
