@@ -89,8 +89,8 @@ def _known_keys(config: str) -> list[str]:
 
     def walk(node: DictConfig, prefix: str) -> list[str]:
         found = []
-        for key in node:
-            value = OmegaConf.select(node, str(key), throw_on_missing=False)
+        for key in map(str, node):
+            value = OmegaConf.select(node, key, throw_on_missing=False)
             if key != "_target_":
                 found.append(f"{prefix}{key}")
             if isinstance(value, DictConfig):

@@ -153,7 +153,6 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int
     return Evaluation(episodes, control_dt)
 
 
-
 @dataclass(frozen=True)
 class EvaluateSettings:
     """What ``gctd3.evaluate`` is asked to do.

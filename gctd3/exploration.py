@@ -63,7 +63,12 @@ class Rhythm(torch.nn.Module):
 
     leader: Tensor
     lag: Tensor
+    sign: Tensor
+    offset: Tensor
+    amplitude: Tensor
+    phase: Tensor
     cycles: Tensor
+    frequency: Tensor
 
     OFFSET = 0.5  # largest, of a joint's half range
     AMPLITUDE = (0.1, 1.0)  # smallest and largest, of a joint's half range

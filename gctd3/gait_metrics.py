@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 
@@ -27,7 +29,7 @@ def debounce(contact: np.ndarray, steps: int = 2) -> np.ndarray:
     # Gaps first: a bouncing touchdown is one stance, not several.
     for state in (False, True):
         changes = np.flatnonzero(np.diff(clean)) + 1
-        for begin, end in zip(changes, changes[1:], strict=False):
+        for begin, end in itertools.pairwise(changes):
             if clean[begin] == state and end - begin <= steps:
                 clean[begin:end] = not state
     return clean

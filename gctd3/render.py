@@ -102,7 +102,9 @@ def record(policy: TensorDictModuleBase, robot: Robot, settings: EnvSettings, se
     return Walk(np.stack(qpos), np.array(velocity), np.array(position), np.array(totals))
 
 
-def draw(walk: Walk, robot: Robot, steps: np.ndarray, camera: str, size: tuple[int, int], dt: float) -> list[Image.Image]:
+def draw(
+    walk: Walk, robot: Robot, steps: np.ndarray, camera: str, size: tuple[int, int], dt: float
+) -> list[Image.Image]:
     """The frames of ``steps``, each with its time, distance, speed and return.
 
     Raises:
@@ -124,7 +126,10 @@ def draw(walk: Walk, robot: Robot, steps: np.ndarray, camera: str, size: tuple[i
             mujoco.mj_forward(model, data)
             renderer.update_scene(data, camera=camera)
             frame = Image.fromarray(renderer.render())
-            text = f"{(step + 1) * dt:.2f} s   {walk.position[step]:.2f} m\n{walk.velocity[step]:.2f} m/s   return {walk.total[step]:.0f}"
+            text = (
+                f"{(step + 1) * dt:.2f} s   {walk.position[step]:.2f} m\n"
+                f"{walk.velocity[step]:.2f} m/s   return {walk.total[step]:.0f}"
+            )
             ImageDraw.Draw(frame).text((8, 6), text, fill=(30, 30, 30), font=font)
             frames.append(frame)
     return frames
@@ -156,7 +161,9 @@ def render_run(settings: RenderSettings) -> Path:
         # GIF players show 25 frames a second well, 50 badly.
         stride = max(1, round(settings.speed / 25 / dt))
         frames = draw(walk, robot, np.arange(0, len(walk.qpos), stride), settings.camera, size, dt)
-        frames[0].save(out, save_all=True, append_images=frames[1:], duration=int(1000 * stride * dt / settings.speed), loop=0)
+        frames[0].save(
+            out, save_all=True, append_images=frames[1:], duration=int(1000 * stride * dt / settings.speed), loop=0
+        )
         return out
     first = int(np.argmax(walk.position >= min(settings.begin, walk.position[-1] / 2)))
     steps = first + settings.every * np.arange(settings.columns * settings.rows)

@@ -169,7 +169,9 @@ class TrainSettings:
             raise ConfigError(f"threads must be at least 1, or null, got {self.threads}.")
         frames = self.env.num_envs * self.steps
         if self.total_frames < frames:
-            raise ConfigError(f"total_frames must be at least env.num_envs * steps = {frames}, got {self.total_frames}.")
+            raise ConfigError(
+                f"total_frames must be at least env.num_envs * steps = {frames}, got {self.total_frames}."
+            )
         if self.replay.mirror and self.env.history < 1:
             raise ConfigError("replay.mirror needs env.history of at least 1.")
 
@@ -211,9 +213,7 @@ class Trainer:
         self.robot = settings.load_robot()
         self.algorithm = settings.algo.build(settings.architecture())
         env = settings.env
-        self.explorer = Explorer(
-            self.algorithm.actor, self.robot, env.num_envs, settings.exploration, env.control_dt
-        )
+        self.explorer = Explorer(self.algorithm.actor, self.robot, env.num_envs, settings.exploration, env.control_dt)
         mirror = Mirror(self.robot, env.history) if settings.replay.mirror else None
         self.replay = Replay(settings.replay, settings.algo.gamma, mirror)
         self.env = build_env(self.robot, env, settings.reward, settings.seed)
@@ -249,7 +249,14 @@ class Trainer:
         # The policy acts and learns in one process: the collector must not hold a copy of it.
         began, frames, in_a_row = time.monotonic(), 0, 0
         next_evaluation = max(settings.evaluation.every, settings.exploration.warmup_frames)
-        with tqdm(total=settings.total_frames, unit=" steps", unit_scale=True, smoothing=0.05, mininterval=0.5, dynamic_ncols=True) as bar:
+        with tqdm(
+            total=settings.total_frames,
+            unit=" steps",
+            unit_scale=True,
+            smoothing=0.05,
+            mininterval=0.5,
+            dynamic_ncols=True,
+        ) as bar:
             for collected in collector:
                 frames += collected.numel()
                 self.replay.extend(collected)
@@ -276,9 +283,7 @@ class Trainer:
     def _evaluate(self, frames: int, wall: float) -> dict[str, float]:
         settings = self.settings
         policy = self.algorithm.policy()
-        result = evaluate(
-            policy, self.evaluation_env, self.robot, settings.evaluation.seed, settings.env.control_dt
-        )
+        result = evaluate(policy, self.evaluation_env, self.robot, settings.evaluation.seed, settings.env.control_dt)
         metrics: dict[str, float] = {
             "frames": frames,
             "updates": self.algorithm.updates,
@@ -289,9 +294,7 @@ class Trainer:
         self._write_row(metrics)
         self._log({f"evaluation/{name}": metrics[name] for name in COLUMNS[3:] if name in metrics}, frames)
         score = settings.stop_when.score(metrics)
-        self.checkpoints.save(
-            frames, score, metrics, policy=policy, algorithm=self.algorithm, explorer=self.explorer
-        )
+        self.checkpoints.save(frames, score, metrics, policy=policy, algorithm=self.algorithm, explorer=self.explorer)
         if self.best is None or score > settings.stop_when.score(self.best):
             self.best = metrics
         return metrics

@@ -142,5 +142,5 @@ class Algorithm(ABC):
 def minimize(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
     """One step down the gradient of ``loss``."""
     optimizer.zero_grad(set_to_none=True)
-    loss.backward()
+    loss.backward()  # type: ignore[no-untyped-call]
     optimizer.step()

@@ -26,9 +26,7 @@ class DDPG(Algorithm):
         super().__init__()
         self.settings = settings
         self.actor = architecture.actor()
-        self.loss = DDPGLoss(
-            self.actor, architecture.critic(), loss_function="l2", delay_actor=True, delay_value=True
-        )
+        self.loss = DDPGLoss(self.actor, architecture.critic(), loss_function="l2", delay_actor=True, delay_value=True)
         self.loss.make_value_estimator(gamma=settings.gamma)
         self.targets = SoftUpdate(self.loss, tau=settings.tau)
         self.critic_optimizer = self.optimizer("critic", self.loss.value_network_params.values(True, True))

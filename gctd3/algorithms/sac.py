@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.objectives import SACLoss, SoftUpdate
 
-from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics, minimize
+from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics
 from gctd3.errors import ConfigError
 
 

@@ -220,7 +220,7 @@ class WalkingTask:
             angles=qpos[..., self._qpos],
             velocities=qvel[..., self._qvel],
             feet_down=sensordata[..., self._feet] > 0,
-            other_down=(sensordata[..., self._others] > 0).any(axis=-1),
+            other_down=np.asarray((sensordata[..., self._others] > 0).any(axis=-1)),
         )
 
     def node_features(self, now: Measurement) -> np.ndarray:
@@ -330,7 +330,7 @@ def _push(stack: np.ndarray, newest: np.ndarray, axis: int) -> np.ndarray:
 def _longer_than(steps: np.ndarray, limit: int | None) -> np.ndarray:
     if limit is None:
         return np.zeros(steps.shape[:-1], dtype=bool)
-    return (steps > limit).any(axis=-1)
+    return np.asarray((steps > limit).any(axis=-1))
 
 
 def _require_at_least(settings: object, least: int, *names: str) -> None:

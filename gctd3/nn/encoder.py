@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 import torch
@@ -30,15 +32,15 @@ class GraphEncoder(nn.Module):
         super().__init__()
         matrix = graph.normalized_adjacency if isinstance(graph, KinematicGraph) else graph
         sizes = [in_features, *hidden]
-        self.layers = nn.ModuleList(GraphConv(a, b, matrix) for a, b in zip(sizes, sizes[1:], strict=False))
+        self.layers = nn.ModuleList(GraphConv(a, b, matrix) for a, b in itertools.pairwise(sizes))
         self.out_features = len(matrix) * sizes[-1]
 
     def forward(self, nodes: Tensor) -> Tensor:
-        """Encode ``nodes [*, N, F]``; with parameters stacked to ``[E, ...]`` the output is ``[E, B, out_features]``."""
+        """Encode ``nodes [*, N, F]``; parameters stacked to ``[E, ...]`` give ``[E, B, out_features]``."""
         batch = nodes.shape[:-2]
         x = nodes.reshape(-1, *nodes.shape[-2:]).transpose(0, 1)
         for layer in self.layers:
-            x = torch.relu(layer.node_first(x))
+            x = torch.relu(cast(GraphConv, layer).node_first(x))
         x = x.transpose(-3, -2).flatten(-2)
         return x if x.ndim == 3 else x.reshape(*batch, self.out_features)
 

@@ -30,7 +30,9 @@ class GraphConv(nn.Module):
 
     propagation: Tensor
 
-    def __init__(self, in_features: int, out_features: int, propagation: np.ndarray | Tensor, bias: bool = True):
+    def __init__(
+        self, in_features: int, out_features: int, propagation: np.ndarray | Tensor, bias: bool = True
+    ) -> None:
         super().__init__()
         self.in_features, self.out_features = in_features, out_features
         matrix = torch.as_tensor(propagation, dtype=torch.get_default_dtype())
@@ -66,7 +68,7 @@ class GraphConv(nn.Module):
         """The same on ``[N, B, F]``, the layout in which both products of the layer are single matrix products.
 
         Returns:
-            ``[N, B, F']``; if the parameters are stacked to ``[E, F, F']``, ``[E, N, B, F']`` (and ``nodes`` may be too).
+            ``[N, B, F']``; ``[E, N, B, F']`` if the parameters are stacked to ``[E, F, F']`` (``nodes`` may be too).
         """
         n, batch, features = nodes.shape[-3:]
         mixed = self.propagation @ nodes.reshape(*nodes.shape[:-2], batch * features)
@@ -79,4 +81,5 @@ class GraphConv(nn.Module):
 
     def extra_repr(self) -> str:
         """Sizes, for ``print``."""
-        return f"{self.in_features}, {self.out_features}, nodes={self.propagation.shape[-1]}, bias={self.bias is not None}"
+        nodes = self.propagation.shape[-1]
+        return f"{self.in_features}, {self.out_features}, nodes={nodes}, bias={self.bias is not None}"

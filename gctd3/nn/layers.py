@@ -24,7 +24,7 @@ def stacked_linear(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
 
 
 class Linear(nn.Linear):
-    """:class:`torch.nn.Linear`; with parameters stacked to ``[E, O, I]`` it maps ``[B, I]`` or ``[E, B, I]`` to ``[E, B, O]``."""
+    """As :class:`torch.nn.Linear`; stacked to ``[E, O, I]``, parameters map ``[B, I]`` / ``[E, B, I]`` to ``[E, B, O]``."""
 
     def forward(self, input: Tensor) -> Tensor:
         """Apply the layer, or all of a stack."""
@@ -34,7 +34,7 @@ class Linear(nn.Linear):
 
 
 class LayerNorm(nn.LayerNorm):
-    """:class:`torch.nn.LayerNorm` over the last dimension; with parameters stacked to ``[E, D]`` it takes ``[E, B, D]``."""
+    """As :class:`torch.nn.LayerNorm` over the last dimension; parameters stacked to ``[E, D]`` take ``[E, B, D]``."""
 
     def forward(self, input: Tensor) -> Tensor:
         """Apply the layer, or all of a stack."""

@@ -22,7 +22,7 @@ class TD3Loss(TorchRLTD3Loss):
     def _set_in_keys(self) -> None:
         super()._set_in_keys()
         following = [("next", key) for key in self.qvalue_network.in_keys if key != self.tensor_keys.action]
-        self._in_keys = list({*self._in_keys, *following})
+        self._in_keys: list[object] = list({*self._in_keys, *following})
 
     def _act(self, params: TensorDictBase, inputs: TensorDictBase) -> TensorDictBase:
         """``inputs`` (copied) with the actor's action in it."""
