@@ -246,8 +246,7 @@ class Trainer:
             frames_per_batch=batch_frames,
             total_frames=settings.total_frames // batch_frames * batch_frames,
         )
-        # The policy acts and learns in one process: the collector must not hold a copy of it.
-        began, frames, in_a_row = time.monotonic(), 0, 0
+        began, frames, episodes, in_a_row = time.monotonic(), 0, 0, 0
         next_evaluation = max(settings.evaluation.every, settings.exploration.warmup_frames)
         with tqdm(
             total=settings.total_frames,
@@ -259,12 +258,14 @@ class Trainer:
         ) as bar:
             for collected in collector:
                 frames += collected.numel()
+                episodes += int(collected["next", "done"].sum())
                 self.replay.extend(collected)
                 learning = not self.explorer.warming_up and len(self.replay) >= settings.replay.batch_size
                 for _ in range(settings.updates if learning else 0):
                     metrics = self.algorithm.update(self.replay.sample())
                 bar.update(collected.numel())
-                if frames < next_evaluation and frames < collector.total_frames:
+                last = frames >= collector.total_frames or episodes >= (settings.total_episodes or math.inf)
+                if frames < next_evaluation and not last:
                     continue
                 next_evaluation += settings.evaluation.every
                 row = self._evaluate(frames, time.monotonic() - began)
@@ -273,7 +274,7 @@ class Trainer:
                     self._log(row_metrics, frames)
                 bar.set_postfix(self._postfix(row), refresh=True)
                 in_a_row = in_a_row + 1 if settings.stop_when.all_reached(row) else 0
-                if in_a_row == settings.stop_when.evaluations:
+                if last or in_a_row == settings.stop_when.evaluations:
                     break
         collector.shutdown()
         if self.best is None:

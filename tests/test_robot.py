@@ -98,8 +98,7 @@ def test_total_mass_and_heights_at_qpos_0(robot):
         assert data.joint(f"ankle_{side}").xanchor[2] == pytest.approx(0.0935)
         sole = data.geom(f"foot_{side}").xpos[2] - robot.model.geom(f"foot_{side}").size[2]
         assert sole == pytest.approx(DROP)
-        length = 2 * robot.model.geom(f"foot_{side}").size[0]
-        assert length == pytest.approx(0.153, abs=0.003)
+        assert 2 * robot.model.geom(f"foot_{side}").size[0] == pytest.approx(0.153, abs=0.003)  # its length
     assert robot.standing_qpos[robot.vertical] == pytest.approx(-DROP)
 
 
@@ -225,9 +224,12 @@ def test_mirrored_actions_make_the_mirrored_walk(robot):
     np.testing.assert_allclose(data.qpos[:2], mirrored.qpos[:2], atol=1e-5)
 
 
-def test_mirror_sign_of_opposite_axes_and_short_side_names(tmp_path):
-    order, sign = Robot.from_mjcf(write(tmp_path, TWO_LEGS)).action_mirror
-    assert order.tolist() == [1, 0] and sign.tolist() == [-1.0, -1.0]  # axes 0 -1 0 and 0 1 0
+@pytest.mark.parametrize("one, two, sign", [("0 -1 0", "0 1 0", -1), ("1 0 0", "1 0 0", -1), ("0 0 1", "0 0 -1", 1)])
+def test_mirror_sign_of_a_pair_of_axes(tmp_path, one, two, sign):
+    # Mirrored, a turn about y stays the same turn, one about x or z becomes the opposite one.
+    text = TWO_LEGS.replace('r" axis="0 -1 0"', f'r" axis="{one}"').replace('l" axis="0 1 0"', f'l" axis="{two}"')
+    order, signs = Robot.from_mjcf(write(tmp_path, text)).action_mirror
+    assert order.tolist() == [1, 0] and signs.tolist() == [sign, sign]
 
 
 # What `Robot` reads.

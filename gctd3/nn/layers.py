@@ -24,7 +24,7 @@ def stacked_linear(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
 
 
 class Linear(nn.Linear):
-    """As :class:`torch.nn.Linear`; stacked to ``[E, O, I]``, parameters map ``[B, I]`` / ``[E, B, I]`` to ``[E, B, O]``."""
+    """As :class:`torch.nn.Linear`; weights ``[E, O, I]`` map ``[B, I]`` or ``[E, B, I]`` to ``[E, B, O]``."""
 
     def forward(self, input: Tensor) -> Tensor:
         """Apply the layer, or all of a stack."""
