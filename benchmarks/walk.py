@@ -2,8 +2,8 @@
 
     python benchmarks/walk.py algo=gctd3 seeds=0,1,2,3,4 out=benchmarks/results/walk_gctd3.json
 
-Each seed is a process of ``python -m gctd3.train``; anything after the named keys is passed on to it. The JSON holds the
-command, commit, machine, and for each seed the evaluation, the wall-clock and the learning curve, failures included.
+Each seed is a process of ``python -m gctd3.train``; any other key is passed on to it. The JSON holds the command, the
+commit, the machine, and for each seed the evaluation, the wall-clock and the learning curve, failures included.
 """
 
 from __future__ import annotations

@@ -88,6 +88,7 @@ class Robot:
         names = tuple(feet) if feet is not None else tuple(_leaf_bodies(model, root))
         robot = cls(model, file, model.body(root).name, joints, actuated, names)
         robot._check_feet()
+        _ = robot.forward, robot.vertical, robot.action_mirror
         return robot
 
     # Base: the boom.
@@ -215,10 +216,11 @@ class Robot:
 
     def mirror_name(self, name: str) -> str:
         """The name of the same part on the other side, or ``name`` if it has no side."""
-        known = {j.name for j in self.joints} | {self.model.body(i).name for i in range(self.model.nbody)}
+        joints, bodies = {j.name for j in self.joints}, {self.model.body(i).name for i in range(self.model.nbody)}
+        known = joints if name in joints else bodies
         for right, left in _SIDES:
             for here, there in ((right, left), (left, right)):
-                swapped = re.sub(rf"(?<![a-zA-Z]){here}(?![a-zA-Z])", there, name.replace("_", " ")).replace(" ", "_")
+                swapped = re.sub(rf"(?<![a-zA-Z]){here}(?![a-zA-Z])", there, name)
                 if swapped != name and swapped in known:
                     return swapped
         return name
@@ -232,7 +234,14 @@ class Robot:
 
     @cached_property
     def action_mirror(self) -> tuple[np.ndarray, np.ndarray]:
-        """Permutation and sign with which ``sign * action[..., permutation]`` is the mirrored action. Each ``[A]``."""
+        """Permutation and sign with which ``sign * action[..., permutation]`` is the mirrored action. Each ``[A]``.
+
+        Raises:
+            RobotError: If a joint has an actuator and its mirror image has none.
+        """
+        lonely = [name for name in self.actuated if self.mirror_name(name) not in self.actuated]
+        if lonely:
+            raise RobotError(f"{self.path}: the mirror image of {', '.join(lonely)} has no actuator.")
         order = [self.actuated.index(self.mirror_name(name)) for name in self.actuated]
         sign = [self.mirror_sign(name) for name in self.actuated]
         return np.array(order), np.array(sign)
@@ -310,6 +319,8 @@ def _actuated(model: mujoco.MjModel, joints: Sequence[Joint], file: Path) -> lis
         joint = model.joint(int(model.actuator_trnid[i, 0])).name
         if joint not in names:
             raise RobotError(f"{file}: actuator {actuator!r} drives {joint!r}, which is not a joint below the root.")
+        if model.actuator_biastype[i] != mujoco.mjtBias.mjBIAS_AFFINE or model.actuator_biasprm[i, 1] >= 0:
+            raise RobotError(f"{file}: actuator {actuator!r} must be a <position> servo: actions are desired angles.")
         if not model.actuator_ctrllimited[i]:
             raise RobotError(f"{file}: actuator {actuator!r} needs a ctrlrange (rad), onto which actions are mapped.")
         actuated.append(joint)

@@ -2,10 +2,11 @@
 
 import pytest
 import torch
+from hypothesis import settings
+
 from gctd3.envs.gait import WalkingTask
 from gctd3.graph import KinematicGraph
 from gctd3.robot import Robot
-from hypothesis import settings
 
 # Derandomised, so that a failure seen once is seen by everybody; no deadline, since machines differ.
 settings.register_profile("gctd3", deadline=None, derandomize=True)

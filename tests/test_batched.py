@@ -5,13 +5,14 @@ from collections import Counter
 import numpy as np
 import pytest
 import torch
+from torchrl.envs.utils import check_env_specs
+
 from gctd3.envs import dmc
 from gctd3.envs.factory import EnvSettings, build_env, make_env
 from gctd3.envs.gait import Endings, Reward, WalkingTask
 from gctd3.envs.simulation import Simulation, Start, substeps_of
 from gctd3.errors import ConfigError
 from gctd3.robot import Robot
-from torchrl.envs.utils import check_env_specs
 
 ENDS = ("fall", "long_contact", "stuck_hip")
 SHAPED = Reward(antiphase=0.3, single_support=0.2, overspeed=0.5, air_time=2.0)

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import torch
 from dm_env import StepType
+from torchrl.envs.utils import check_env_specs
+
 from gctd3.envs import dmc
 from gctd3.envs.factory import EnvSettings, build_env, make_env
 from gctd3.envs.gait import Endings, Reward, WalkingTask
 from gctd3.envs.simulation import Start
-from torchrl.envs.utils import check_env_specs
 
 FALL_AT_ONCE = Endings(fall_height=1.0)  # every body is lower than 1 m above standing
 

@@ -4,11 +4,12 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from gctd3.envs.gait import Endings, Measurement, Progress, Reward, WalkingTask
 from gctd3.errors import ConfigError
 from gctd3.robot import Robot
-from hypothesis import given
-from hypothesis import strategies as st
 
 RIGHT, LEFT = 0, 1
 

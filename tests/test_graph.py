@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from numpy.polynomial.chebyshev import chebval
+
 from gctd3 import KinematicGraph
 from gctd3.errors import RobotError
 from gctd3.graph import PRESETS
-from numpy.polynomial.chebyshev import chebval
 
 NODES = ("body", "hip_right", "hip_left", "knee_right", "knee_left", "ankle_right", "ankle_left", "ground")
 

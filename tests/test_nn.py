@@ -7,15 +7,16 @@ import warnings
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
+from torch import nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.objectives import SoftUpdate
+
 from gctd3 import KinematicGraph, make_actor, make_critic, make_stochastic_actor
 from gctd3.errors import ConfigError
 from gctd3.nn import Actor, Critic, FlatEncoder, GraphConv, GraphEncoder, Network
 from gctd3.nn.layers import LayerNorm, Linear
 from gctd3.objectives import TD3Loss
-from tensordict import TensorDict
-from torch import nn
-from torchrl.envs.utils import ExplorationType, set_exploration_type
-from torchrl.objectives import SoftUpdate
 
 with warnings.catch_warnings():  # PyG scripts a class while it is imported
     warnings.filterwarnings("ignore", message=".*torch.jit.*", category=DeprecationWarning)

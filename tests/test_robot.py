@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+
 from gctd3 import Robot
 from gctd3.errors import RobotError
 
@@ -294,6 +295,11 @@ def test_missing_files_and_unknown_names(tmp_path, robot):
 
 
 def test_base_without_a_slide_along_z(tmp_path):
-    robot = Robot.from_mjcf(write(tmp_path, TWO_LEGS.replace('<joint name="z" type="slide" axis="0 0 1"/>', "")))
+    path = write(tmp_path, TWO_LEGS.replace('<joint name="z" type="slide" axis="0 0 1"/>', ""))
     with pytest.raises(RobotError, match=r"robot\.xml: the root body 'torso' has no slide joint along z"):
-        _ = robot.vertical
+        Robot.from_mjcf(path)
+
+
+def test_actuators_must_be_servos(tmp_path):
+    with pytest.raises(RobotError, match="must be a <position> servo"):
+        Robot.from_mjcf(write(tmp_path, TWO_LEGS.replace("<position", "<motor").replace("</position", "</motor")))

@@ -5,13 +5,14 @@ import copy
 import numpy as np
 import pytest
 import torch
-from gctd3 import KinematicGraph, make_actor, make_critic
-from gctd3.nn import Network
-from gctd3.objectives import TD3Loss
 from tensordict import TensorDict
 from torch import nn
 from torchrl.objectives import SoftUpdate, ValueEstimators
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
+
+from gctd3 import KinematicGraph, make_actor, make_critic
+from gctd3.nn import Network
+from gctd3.objectives import TD3Loss
 
 BATCH = 16
 LEARNT = ("actor_network_params", "qvalue_network_params")

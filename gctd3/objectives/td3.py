@@ -14,9 +14,9 @@ from gctd3.objectives.stacked import stacked_values
 class TD3Loss(TorchRLTD3Loss):
     """:class:`torchrl.objectives.TD3Loss`, faster, and with critics that may read more than the actor does.
 
-    Same constructor, keys and numbers. Two differences: the critics' stacked parameters run as one batched module
-    (no ``vmap``; the actor's loss evaluates the one critic that it uses), and the critics' ``in_keys`` are taken from
-    the whole batch, where TorchRL passes on only what the actor reads.
+    Same constructor and keys, same losses and gradients. Two differences: the critics' stacked parameters run as one
+    batched module (no ``vmap``; the actor's loss evaluates the one critic that it uses), and the critics' ``in_keys``
+    are taken from the whole batch, where TorchRL passes on only what the actor reads.
     """
 
     def _set_in_keys(self) -> None:
