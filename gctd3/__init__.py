@@ -8,6 +8,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import gymnasium
+
 if TYPE_CHECKING:
     from gctd3.checkpoint import load_policy as load_policy
     from gctd3.envs.factory import make_env as make_env
@@ -29,6 +31,12 @@ _HOME = {
     "make_stochastic_actor": "gctd3.nn",
 }
 __all__ = sorted(_HOME)
+
+gymnasium.register(
+    id="gctd3/Biped-v0",
+    entry_point="gctd3.envs.gym:BipedEnv",
+    vector_entry_point="gctd3.envs.gym:BipedVectorEnv",
+)
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - any of the names above

@@ -1,0 +1,130 @@
+"""The walking task for Gymnasium: ``import gctd3; gymnasium.make("gctd3/Biped-v0")``, and ``gymnasium.make_vec``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from gctd3.envs.gait import FEATURES, Reward, WalkingTask
+from gctd3.envs.simulation import Simulation
+from gctd3.errors import ConfigError
+from gctd3.robot import Robot
+
+
+def _spaces(task: WalkingTask, history: int) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
+    shape = (len(task.nodes), FEATURES * history)
+    actions = len(task.robot.actuated)
+    return (
+        gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32),
+        gymnasium.spaces.Box(-1.0, 1.0, (actions,), np.float32),
+    )
+
+
+class BipedVectorEnv(VectorEnv):
+    """N robots stepped at once, as a Gymnasium vector environment.
+
+    A robot whose episode ended is reset by the next step, whose action it ignores (Gymnasium's ``NEXT_STEP``).
+
+    Args:
+        num_envs: Robots.
+        robot: A shipped robot, or the path of an MJCF file.
+        history: Frames stacked into an observation.
+        reward: The reward's weights; the paper's by default.
+        threads: That simulate; all cores if ``None``.
+
+    Observation: ``float32 [num_envs, N, 2 * history]``, oldest frame first. Action: ``[num_envs, A]`` in [-1, 1].
+    Info: ``success``, ``position`` (m) and the reward's terms, each ``[num_envs]``.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        robot: str = "biped",
+        history: int = 5,
+        reward: Reward | None = None,
+        threads: int | None = None,
+    ) -> None:
+        if history < 1:
+            raise ConfigError(f"history must be at least 1, got {history}.")
+        task = WalkingTask(Robot.from_mjcf(robot), reward)
+        self.simulation = Simulation(task, num_envs, threads=threads)
+        self.num_envs = num_envs
+        self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}
+        self.single_observation_space, self.single_action_space = _spaces(task, history)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        nodes = (len(task.nodes), FEATURES * history)
+        self._stack: np.ndarray = np.zeros((num_envs, *nodes), dtype=np.float32)
+        self._ended = np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode on every robot."""
+        if isinstance(seed, (list, tuple)):
+            seed = seed[0]
+        if seed is not None:
+            self.simulation.rng = np.random.default_rng(seed)
+        everyone = np.ones(self.num_envs, dtype=bool)
+        self._begin(everyone)
+        self._ended = ~everyone
+        return self._stack.copy(), {}
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """One control step of every robot, or the first frame of a new episode."""
+        begins = self._ended
+        outcome = self.simulation.step(np.asarray(actions, dtype=np.float64))
+        frame = self.simulation.task.node_features(self.simulation.now)
+        self._stack = np.concatenate([self._stack[..., FEATURES:], frame], axis=-1)
+        reward = np.where(begins, 0.0, outcome.reward)
+        terminated, truncated = outcome.terminated & ~begins, outcome.truncated & ~begins
+        if begins.any():
+            self._begin(begins)
+        self._ended = terminated | truncated
+        info = {
+            "success": outcome.success & ~begins,
+            "position": self.simulation.now.position.copy(),
+            **{f"reward_{name}": np.where(begins, 0.0, value) for name, value in outcome.terms.items()},
+        }
+        return self._stack.copy(), reward, terminated, truncated, info
+
+    def _begin(self, mask: np.ndarray) -> None:
+        self.simulation.reset(mask)
+        frame = self.simulation.task.node_features(self.simulation.now)
+        repeated = np.tile(frame, (1, 1, self._stack.shape[-1] // FEATURES))
+        self._stack = np.where(mask[:, None, None], repeated, self._stack)
+
+
+class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """One robot, as a Gymnasium environment; see :class:`BipedVectorEnv` for observation, action and info.
+
+    Args:
+        robot: A shipped robot, or the path of an MJCF file.
+        history: Frames stacked into an observation.
+        reward: The reward's weights; the paper's by default.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012 - Gymnasium's name and type
+
+    def __init__(self, robot: str = "biped", history: int = 5, reward: Reward | None = None) -> None:
+        self._one = BipedVectorEnv(1, robot, history, reward, threads=1)
+        self.observation_space = self._one.single_observation_space
+        self.action_space = self._one.single_action_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode."""
+        super().reset(seed=seed)
+        observation, info = self._one.reset(seed=seed)
+        return observation[0], info
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """One control step."""
+        observation, reward, terminated, truncated, info = self._one.step(np.asarray(action)[None])
+        scalars = {name: value[0].item() for name, value in info.items()}
+        return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), scalars
