@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import logging
 import math
 import time
 from collections.abc import Mapping
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 import torch
+from torchrl import torchrl_logger
 from torchrl.collectors import Collector
 from torchrl.record.loggers import Logger, get_logger
 from tqdm import tqdm
@@ -206,6 +208,8 @@ class Trainer:
 
     def __init__(self, settings: TrainSettings, directory: Path) -> None:
         self.settings, self.directory = settings, directory
+        # Its notices of every storage and transform would break into the progress bar.
+        torchrl_logger.setLevel(logging.WARNING)
         if settings.threads is not None:
             torch.set_num_threads(settings.threads)
         # Before the networks, so that their initial weights are the seed's.

@@ -1,6 +1,7 @@
 """The batched environment: the same numbers as dm_control, one reset at a time, whatever the threads."""
 
 from collections import Counter
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -213,12 +214,23 @@ def test_a_reset_forgets_everything(robot, tmp_path):
     np.testing.assert_array_equal(after_reset(10), after_reset(0))
 
 
-def test_a_mask_of_nobody_resets_nobody(task):
-    simulation = started(task, 2)
-    state, progress = simulation.state.copy(), simulation.progress
-    simulation.reset(np.zeros(2, dtype=bool))
-    np.testing.assert_array_equal(simulation.state, state)
-    assert simulation.progress is progress
+def test_a_reset_leaves_the_others_alone(task):
+    simulation = started(task, 3)
+    for _ in range(10):
+        simulation.step(np.zeros((3, 6)))
+
+    def rows():
+        measured = [getattr(simulation.now, f.name)[:2].copy() for f in fields(simulation.now)]
+        remembered = [getattr(simulation.progress, f.name)[:2] for f in fields(simulation.progress)]
+        return [simulation.state[:2].copy(), *measured, *remembered]
+
+    before = rows()
+    assert simulation.now.feet_down.any()
+    for mask in ([False, False, True], [False, False, False]):
+        simulation.reset(np.array(mask))
+        assert simulation.progress.step.tolist() == [10, 10, 0]
+        for old, new in zip(before, rows(), strict=True):
+            np.testing.assert_array_equal(old, new)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
