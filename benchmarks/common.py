@@ -16,9 +16,13 @@ from pathlib import Path
 def options(**defaults: str) -> dict[str, str]:
     """``key=value`` arguments over their defaults; exits with what is accepted if one is unknown."""
     given = dict(argument.split("=", 1) for argument in sys.argv[1:] if "=" in argument)
-    unknown = [argument for argument in sys.argv[1:] if argument.split("=", 1)[0] not in defaults or "=" not in argument]
+    unknown = [
+        argument for argument in sys.argv[1:] if argument.split("=", 1)[0] not in defaults or "=" not in argument
+    ]
     if unknown:
-        raise SystemExit(f"unknown {', '.join(unknown)}; accepted: {', '.join(f'{k}={v}' for k, v in defaults.items())}")
+        raise SystemExit(
+            f"unknown {', '.join(unknown)}; accepted: {', '.join(f'{k}={v}' for k, v in defaults.items())}"
+        )
     return {**defaults, **given}
 
 

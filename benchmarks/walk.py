@@ -1,24 +1,47 @@
-"""Does the default training walk? Trains one algorithm over several seeds and judges each best policy over 50 episodes.
+"""Does the default training walk? Trains an algorithm over several seeds and judges each best policy over 50 episodes.
 
     python benchmarks/walk.py algo=gctd3 seeds=0,1,2,3,4 out=benchmarks/results/walk_gctd3.json
+    python benchmarks/walk.py algo=td3 jobs=2 threads=1 env.threads=1
 
-Each seed is a process of ``python -m gctd3.train``; any other key is passed on to it. The JSON holds the command, the
-commit, the machine, and for each seed the evaluation, the wall-clock and the learning curve, failures included.
+Each seed is a process of ``python -m gctd3.train``, ``jobs`` of them at a time; any other key is passed on to it. The
+JSON holds the command, the commit, the machine, and for each seed the evaluation, the wall-clock and the learning
+curve, failures included.
 """
 
 from __future__ import annotations
 
 import csv
 import json
-import os
-import platform
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
+
+from common import report
 
 EPISODES = 50
-OWN = {"algo": "gctd3", "seeds": "0,1,2,3,4", "out": "", "runs": "runs/benchmark"}
+OWN = {"algo": "gctd3", "seeds": "0,1,2,3,4", "out": "", "runs": "runs/benchmark", "jobs": "1"}
+
+
+def train_and_judge(algo: str, seed: int, run: Path, passed_on: list[str]) -> dict[str, Any]:
+    """One seed, in processes of its own; what they print goes to ``log.txt`` in the run's directory."""
+    run.mkdir(parents=True, exist_ok=False)
+    with (run / "log.txt").open("w") as log:
+
+        def call(command: str, *arguments: str) -> None:
+            module = [sys.executable, "-m", f"gctd3.{command}"]
+            subprocess.run([*module, *arguments], check=True, stdout=log, stderr=subprocess.STDOUT)
+
+        began = time.monotonic()
+        call("train", f"algo={algo}", f"seed={seed}", *passed_on, f"hydra.run.dir={run}")
+        minutes = (time.monotonic() - began) / 60
+        call("evaluate", f"run={run}", f"episodes={EPISODES}")
+    evaluation = json.loads((run / "evaluation.json").read_text())
+    with (run / "progress.csv").open() as stream:
+        curve = [{key: float(text) for key, text in row.items() if text} for row in csv.DictReader(stream)]
+    return {"seed": seed, "minutes": minutes, "evaluation": evaluation, "curve": curve}
 
 
 def main() -> None:
@@ -26,32 +49,14 @@ def main() -> None:
     given = dict(argument.split("=", 1) for argument in sys.argv[1:])
     own = {key: given.pop(key, default) for key, default in OWN.items()}
     passed_on = [f"{key}={value}" for key, value in given.items()]
-    rows = []
-    for seed in (int(text) for text in own["seeds"].split(",")):
-        run = Path(own["runs"]) / own["algo"] / f"seed{seed}"
-        arguments = [f"algo={own['algo']}", f"seed={seed}", *passed_on]
-        began = time.monotonic()
-        subprocess.run([sys.executable, "-m", "gctd3.train", *arguments, f"hydra.run.dir={run}"], check=True)
-        minutes = (time.monotonic() - began) / 60
-        subprocess.run([sys.executable, "-m", "gctd3.evaluate", f"run={run}", f"episodes={EPISODES}"], check=True)
-        evaluation = json.loads((run / "evaluation.json").read_text())
-        with (run / "progress.csv").open() as stream:
-            curve = [{key: float(text) for key, text in row.items() if text} for row in csv.DictReader(stream)]
-        rows.append({"seed": seed, "minutes": minutes, "evaluation": evaluation, "curve": curve})
-    report = {
-        "command": f"python benchmarks/walk.py {' '.join(sys.argv[1:])}",
-        "commit": _commit(),
-        "machine": f"{os.cpu_count()} CPU cores, {platform.machine()}, Python {platform.python_version()}",
-        "algo": own["algo"],
-        "passed_on": passed_on,
-        "seeds": rows,
-    }
+    seeds, folder = [int(text) for text in own["seeds"].split(",")], Path(own["runs"]) / own["algo"]
+    with ThreadPoolExecutor(int(own["jobs"])) as pool:
+        rows = list(pool.map(lambda s: train_and_judge(own["algo"], s, folder / f"seed{s}", passed_on), seeds))
     print(table(rows))
-    if own["out"]:
-        Path(own["out"]).write_text(json.dumps(report, indent=1) + "\n")
+    report("walk", {"algo": own["algo"], "passed_on": passed_on, "jobs": int(own["jobs"]), "seeds": rows}, own["out"])
 
 
-def table(rows: list[dict]) -> str:
+def table(rows: list[dict[str, Any]]) -> str:
     """A line for each seed."""
     head = f"{'seed':>4} {'minutes':>8} {'return':>14} {'m/s':>6} {'success':>8} {'hips':>6} {'Hz':>5} {'flight':>7}"
     lines = [head]
@@ -64,11 +69,6 @@ def table(rows: list[dict]) -> str:
             f"{e['velocity_mean']:>6.2f} {e['success_rate']:>8.2f} {hips:>6} {hz:>5} {flight:>7}"
         )
     return "\n".join(lines)
-
-
-def _commit() -> str:
-    done = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
-    return done.stdout.strip() or "unknown"
 
 
 if __name__ == "__main__":

@@ -1,0 +1,84 @@
+"""The Gymnasium environments: Gymnasium's own checker, and the TorchRL environment as a second implementation."""
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+
+import gctd3
+from gctd3.errors import ConfigError, RobotError
+
+BIPED = "gctd3/Biped-v0"
+
+
+@pytest.mark.filterwarnings("ignore:.*Box observation space m.* value is.*infinity:UserWarning")
+def test_gymnasium_checker():
+    check_env(gymnasium.make(BIPED).unwrapped)
+
+
+def test_vector_env_equals_torchrl_env():
+    """Same starts, same actions: the same stacks, rewards and endings until the first robot is reset."""
+    robots = 5
+    vector = gymnasium.make_vec(BIPED, num_envs=robots)
+    reference = gctd3.make_env("biped", num_envs=robots, seed=3)
+    observation, _ = vector.reset(seed=3)
+    state = reference.reset()
+    np.testing.assert_array_equal(observation, state["nodes"].numpy())
+    rng, compared = np.random.default_rng(0), 0
+    for _ in range(200):
+        action = rng.uniform(-1, 1, (robots, 6)).astype(np.float32)
+        observation, reward, terminated, truncated, info = vector.step(action)
+        state = reference.step(state.set("action", torch.from_numpy(action)))["next"]
+        np.testing.assert_array_equal(observation, state["nodes"].numpy())
+        np.testing.assert_allclose(reward, state["reward"][:, 0].numpy(), rtol=1e-6)
+        np.testing.assert_array_equal(terminated, state["terminated"][:, 0].numpy())
+        np.testing.assert_array_equal(truncated, state["truncated"][:, 0].numpy())
+        terms = sum(value for name, value in info.items() if name.startswith("reward_"))
+        np.testing.assert_allclose(terms, reward, rtol=1e-9)
+        compared += 1
+        if (terminated | truncated).any():
+            break
+    assert compared > 5
+    assert terminated.any()
+
+
+def test_ended_robots_start_anew_on_the_next_step():
+    vector = gymnasium.make_vec(BIPED, num_envs=3)
+    vector.reset(seed=0)
+    rng, ended = np.random.default_rng(0), np.zeros(3, dtype=bool)
+    restarts = 0
+    for _ in range(300):
+        before = ended
+        observation, reward, terminated, truncated, _ = vector.step(rng.uniform(-1, 1, (3, 6)))
+        frames = observation.reshape(3, 8, 5, 2)
+        for robot in np.flatnonzero(before):
+            restarts += 1
+            assert reward[robot] == 0.0
+            assert not terminated[robot]
+            # Every frame of the stack is the first of the episode.
+            assert (frames[robot] == frames[robot][:, :1]).all()
+        ended = terminated | truncated
+    assert restarts > 0
+
+
+def test_single_env_is_the_vector_env_of_one():
+    single, vector = gymnasium.make(BIPED), gymnasium.make_vec(BIPED, num_envs=1)
+    one, _ = single.reset(seed=5)
+    many, _ = vector.reset(seed=5)
+    np.testing.assert_array_equal(one, many[0])
+    for _ in range(20):
+        action = np.full(6, 0.3, dtype=np.float32)
+        one, reward, terminated, *_ = single.step(action)
+        many, rewards, *_ = vector.step(action[None])
+        np.testing.assert_array_equal(one, many[0])
+        assert reward == rewards[0]
+        if terminated:
+            break
+
+
+def test_bad_arguments():
+    with pytest.raises(ConfigError, match="history must be at least 1, got 0"):
+        gymnasium.make(BIPED, history=0)
+    with pytest.raises(RobotError, match="No robot 'nobody'"):
+        gymnasium.make(BIPED, robot="nobody")
