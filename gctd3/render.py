@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-# Before MuJoCo is imported, which looks at it once.
-from gctd3 import gl  # isort: skip
-
 import numpy as np
 import torch
 from omegaconf import DictConfig
@@ -16,9 +13,10 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from gctd3.cli import command
+from gctd3.envs.dmc import Physics
 from gctd3.envs.factory import EnvSettings, build_env
 from gctd3.envs.gait import Reward
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, RenderError
 from gctd3.robot import Robot
 from gctd3.settings import build
 
@@ -111,27 +109,29 @@ def draw(
         ConfigError: If the robot has no such camera.
         RenderError: If there is nothing to draw with.
     """
-    gl.choose_backend()
-    import mujoco
-
     model = robot.model
     cameras = [model.camera(i).name for i in range(model.ncam)]
     if camera not in cameras:
         raise ConfigError(f"{robot.path} has no camera {camera!r}; it has {', '.join(cameras)}.")
-    data, font, frames = mujoco.MjData(model), ImageFont.load_default(13), []
+    # dm_control finds a GL by itself: the screen's, EGL or OSMesa.
+    physics, font, frames = Physics.from_xml_path(str(robot.path)), ImageFont.load_default(13), []
     width, height = size
-    with mujoco.Renderer(model, height, width) as renderer:
-        for step in steps:
-            data.qpos[:] = walk.qpos[step]
-            mujoco.mj_forward(model, data)
-            renderer.update_scene(data, camera=camera)
-            frame = Image.fromarray(renderer.render())
-            text = (
-                f"{(step + 1) * dt:.2f} s   {walk.position[step]:.2f} m\n"
-                f"{walk.velocity[step]:.2f} m/s   return {walk.total[step]:.0f}"
-            )
-            ImageDraw.Draw(frame).text((8, 6), text, fill=(30, 30, 30), font=font)
-            frames.append(frame)
+    for step in steps:
+        physics.data.qpos[:] = walk.qpos[step]
+        physics.forward()
+        try:
+            frame = Image.fromarray(physics.render(height, width, camera_id=camera))
+        except (RuntimeError, ImportError) as error:
+            raise RenderError(
+                f"Nothing to draw with ({error}): this needs a screen, EGL or OSMesa; "
+                "Debian's packages libegl1 or libosmesa6 bring one."
+            ) from error
+        text = (
+            f"{(step + 1) * dt:.2f} s   {walk.position[step]:.2f} m\n"
+            f"{walk.velocity[step]:.2f} m/s   return {walk.total[step]:.0f}"
+        )
+        ImageDraw.Draw(frame).text((8, 6), text, fill=(30, 30, 30), font=font)
+        frames.append(frame)
     return frames
 
 
@@ -178,7 +178,6 @@ def _task(config: DictConfig) -> None:
 
 def main() -> None:
     """Entry point of ``python -m gctd3.render``."""
-    gl.choose_backend()
     command("render", _task)
 
 

@@ -57,8 +57,7 @@ def going_on(size=64):
 def groups(algorithm):
     """The parameters of each network under training, by the name of its optimiser."""
     loss = algorithm.loss
-    critic = loss.value_network_params if hasattr(loss, "value_network") else loss.qvalue_network_params
-    critic = loss.qvalue_network_params if critic is None else critic  # of SAC, which has the attribute but not the net
+    critic = loss.qvalue_network_params if hasattr(loss, "qvalue_network") else loss.value_network_params
     found = {"actor": trainable(loss.actor_network_params), "critic": trainable(critic)}
     return found | ({"alpha": {"log_alpha": loss.log_alpha}} if hasattr(loss, "log_alpha") else {})
 

@@ -214,9 +214,9 @@ class WalkingTask:
     def measure(self, qpos: np.ndarray, qvel: np.ndarray, sensordata: np.ndarray) -> Measurement:
         """Read the simulator: ``qpos [*, nq]``, ``qvel [*, nv]``, ``sensordata [*, ns]``."""
         return Measurement(
-            position=qpos[..., self.robot.forward],
-            height=qpos[..., self.robot.vertical] - self._standing_height,
-            velocity=qvel[..., self.robot.forward],
+            position=np.array(qpos[..., self.robot.forward]),
+            height=np.asarray(qpos[..., self.robot.vertical] - self._standing_height),
+            velocity=np.array(qvel[..., self.robot.forward]),
             angles=qpos[..., self._qpos],
             velocities=qvel[..., self._qvel],
             feet_down=sensordata[..., self._feet] > 0,
