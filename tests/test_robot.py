@@ -156,6 +156,22 @@ def test_stands_still_for_5_s(robot):
     assert (data.sensordata[robot.contact_sensors(robot.feet)] > 0).all()
 
 
+@pytest.mark.parametrize("pose", [(0, 0.6, 0), (0.3, -0.5, 0.2), (-0.3, 0.2, 0.3), (0, 0, 0.5)])
+def test_held_servos_come_to_rest(robot, pose):
+    """A passive system loses energy: contacts that injected some would keep the robot hopping."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    low, high = robot.action_range.T
+    data.ctrl[:] = (low + high) / 2 + (high - low) / 2 * np.tile(pose, 2)
+    heights = []
+    for step in range(1200):  # 6 s
+        mujoco.mj_step(model, data)
+        if step >= 800:
+            heights.append(data.qpos[robot.vertical])
+    assert np.ptp(heights) < 1e-3
+    assert np.abs(data.qvel).max() < 0.05
+    assert (data.sensordata[robot.contact_sensors(robot.feet)] > 0).all()
+
+
 @pytest.mark.parametrize("name", ACTIONS)
 def test_servo_follows_a_step_within_1_s(floating, name):
     target = -0.3 if kind(name) == "knee" else 0.3
