@@ -45,7 +45,8 @@ def rates(work: dict[str, Callable[[], float]], rounds: int) -> dict[str, float]
 
 def report(name: str, figures: dict[str, object], out: str) -> None:
     """Print the provenance, and write everything as JSON if ``out`` names a file."""
-    commit = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
+    describe = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    commit = subprocess.run(describe, capture_output=True, text=True, check=False)
     full = {
         "command": f"python benchmarks/{name}.py {' '.join(sys.argv[1:])}".strip(),
         "commit": commit.stdout.strip() or "unknown",
