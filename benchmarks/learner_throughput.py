@@ -32,30 +32,40 @@ from gctd3.nn import Network
 from gctd3.replay import Replay, ReplaySettings
 
 HELD, UPDATES = 20_000, 20  # transitions in each buffer; updates timed at once
-NODES, FEATURES, ACTIONS = 8, 10, 6
+ROBOTS, NODES, FEATURES, ACTIONS, COUNTERS = 20, 8, 10, 6, 4
 NETWORKS = {"GCN": Network(), "MLP": Network(graph_layers=())}
 
 
 def transitions() -> TensorDictBase:
-    """Random transitions of the biped's shapes, batch size ``[HELD]``."""
+    """Random episodes of the biped's shapes, batch size ``[ROBOTS, HELD // ROBOTS]``."""
     torch.manual_seed(0)
-    done = torch.rand(HELD, 1) < 0.02
+    shape = (ROBOTS, HELD // ROBOTS)
+    done = torch.rand(*shape, 1) < 0.02
+    step_count = torch.zeros(*shape, 1, dtype=torch.int64)
+    for t in range(1, shape[1]):
+        step_count[:, t] = torch.where(done[:, t - 1], 0, step_count[:, t - 1] + 1)
     following = {
-        "nodes": torch.randn(HELD, NODES, FEATURES),
-        "reward": torch.randn(HELD, 1),
+        "nodes": torch.randn(*shape, NODES, FEATURES),
+        "counters": torch.randn(*shape, COUNTERS),
+        "reward": torch.randn(*shape, 1),
         "done": done,
         "terminated": done,
         "truncated": torch.zeros_like(done),
     }
-    nodes, action = torch.randn(HELD, NODES, FEATURES), torch.rand(HELD, ACTIONS) * 2 - 1
-    return TensorDict({"nodes": nodes, "action": action, "next": TensorDict(following, [HELD])}, [HELD])
+    current = {
+        "nodes": torch.randn(*shape, NODES, FEATURES),
+        "counters": torch.randn(*shape, COUNTERS),
+        "action": torch.rand(*shape, ACTIONS) * 2 - 1,
+        "step_count": step_count,
+    }
+    return TensorDict({**current, "next": TensorDict(following, shape)}, shape)
 
 
 def ours(network: Network, batch: int, data: TensorDictBase, graph: gctd3.KinematicGraph) -> Callable[[], Any]:
     """Our TD3 and replay."""
     algorithm = TD3Settings().build(Architecture(graph, network, FEATURES, ACTIONS))
     replay = Replay(ReplaySettings(capacity=HELD, batch_size=batch), gamma=0.99)
-    replay.buffer.extend(data)
+    replay.extend(data)
     return lambda: algorithm.update(replay.sample())
 
 
@@ -71,8 +81,8 @@ def stock(network: Network, batch: int, data: TensorDictBase, graph: gctd3.Kinem
         return torch.optim.Adam([p for p in parameters.values(True, True) if p.requires_grad], lr=3e-4)
 
     critic, actor = adam(loss.qvalue_network_params), adam(loss.actor_network_params)
-    replay = Replay(ReplaySettings(capacity=HELD, batch_size=batch), gamma=0.99)
-    replay.buffer.extend(data)
+    replay = Replay(ReplaySettings(capacity=HELD, batch_size=batch, storage="stacked"), gamma=0.99)
+    replay.extend(data)
     count = 0
 
     def update() -> None:
@@ -104,7 +114,7 @@ def stable_baselines(package: str, batch: int, data: TensorDictBase) -> Callable
         device="cpu" if package == "stable_baselines3" else "auto",
     )
     model._setup_learn(HELD)
-    flat = data.select("nodes", "action", "next").cpu()
+    flat = data.reshape(-1)
     nodes, following = flat["nodes"].flatten(1).numpy(), flat["next", "nodes"].flatten(1).numpy()
     action, reward = flat["action"].numpy(), flat["next", "reward"].numpy()
     done = flat["next", "terminated"].numpy()

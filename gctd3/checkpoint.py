@@ -21,7 +21,7 @@ from gctd3.errors import ConfigError, RunError
 from gctd3.settings import build
 
 if TYPE_CHECKING:
-    from gctd3.trainer import TrainSettings
+    from gctd3.train_settings import TrainSettings
 
 FORMAT = 1  # of a run directory; raised when an older reader would misread a newer one
 CONFIG = Path(".hydra") / "config.yaml"

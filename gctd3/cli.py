@@ -68,9 +68,6 @@ def explain(error: Exception, config: str) -> str:
         return f"{error.strerror}: {error.filename}" if error.filename else str(error)
     causes = [str(error), *([str(error.__cause__)] if error.__cause__ else [])]
     text = "\n".join(line for line in "\n".join(causes).splitlines() if line.strip())
-    missing = re.search(r"Missing mandatory value: (\S+)", text)
-    if missing:
-        return f"{missing.group(1)}=... is required; --help shows how."
     unknown = re.search(r"full_key: (\S+)", text) if "is not in struct" in text else None
     if unknown is None:
         return text

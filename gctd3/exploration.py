@@ -38,13 +38,13 @@ class ExplorationSettings:
 
     def __post_init__(self) -> None:
         if self.warmup_frames < 0:
-            raise ConfigError(f"exploration.warmup_frames must be at least 0, got {self.warmup_frames}.")
+            raise ConfigError(f"warmup_frames must be at least 0, got {self.warmup_frames}.")
         if self.hold < 1:
-            raise ConfigError(f"exploration.hold must be at least 1, got {self.hold}.")
+            raise ConfigError(f"hold must be at least 1, got {self.hold}.")
         if len(self.frequency) != 2 or not 0 < self.frequency[0] <= self.frequency[1]:
-            raise ConfigError(f"exploration.frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
+            raise ConfigError(f"frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
         if self.noise is not None and (len(self.noise) != 2 or not 0 < self.noise[0] <= self.noise[1]):
-            raise ConfigError(f"exploration.noise must be [smallest, largest] > 0 or null, got {list(self.noise)}.")
+            raise ConfigError(f"noise must be [smallest, largest] > 0 or null, got {list(self.noise)}.")
 
 
 class Rhythm(torch.nn.Module):

@@ -12,9 +12,10 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 
     NaN if either is constant.
     """
+    if np.ptp(a) == 0 or np.ptp(b) == 0:
+        return float("nan")
     a, b = a - a.mean(), b - b.mean()
-    scale = float(np.sqrt((a * a).sum() * (b * b).sum()))
-    return float((a * b).sum()) / scale if scale > 0 else float("nan")
+    return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum()))
 
 
 def support_fractions(feet_down: np.ndarray) -> tuple[float, float, float]:

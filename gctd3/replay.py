@@ -1,8 +1,9 @@
-"""Replay: n-step transitions in a TorchRL buffer, mirrored copies on the way out."""
+"""Replay: n-step transitions, mirrored copies on the way out."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -13,6 +14,7 @@ from torchrl.envs.transforms import MultiStepTransform, Transform
 
 from gctd3.envs.gait import FEATURES
 from gctd3.errors import ConfigError
+from gctd3.frame_buffer import FrameBuffer
 from gctd3.graph import KinematicGraph
 from gctd3.robot import Robot
 
@@ -29,21 +31,22 @@ class ReplaySettings:
         batch_size: Transitions drawn for an update.
         n_step: Rewards summed before the bootstrap (Sutton 1988).
         mirror: Whether half of every batch is reflected in the robot's sagittal plane.
+        storage: ``frames`` stores every frame once and stacks at sampling, as :class:`.FrameBuffer` does;
+            ``stacked`` stores the stacks as they came, in TorchRL's buffer, at several times the memory.
     """
 
     capacity: int = 1_000_000
     batch_size: int = 256
     n_step: int = 1
     mirror: bool = False
+    storage: Literal["frames", "stacked"] = "frames"
 
     def __post_init__(self) -> None:
         for name in ("capacity", "batch_size", "n_step"):
             if getattr(self, name) < 1:
-                raise ConfigError(f"replay.{name} must be at least 1, got {getattr(self, name)}.")
+                raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
         if self.batch_size > self.capacity:
-            raise ConfigError(
-                f"replay.batch_size must be at most replay.capacity, got {self.batch_size} and {self.capacity}."
-            )
+            raise ConfigError(f"batch_size must be at most capacity, got {self.batch_size} and {self.capacity}.")
 
 
 class Mirror(Transform):
@@ -104,30 +107,71 @@ class Replay:
     Args:
         settings: Sizes and options.
         gamma: Discount of the n-step sums.
+        history: Frames in an observation.
         mirror: The reflection, if ``settings.mirror``.
     """
 
-    def __init__(self, settings: ReplaySettings, gamma: float, mirror: Mirror | None = None) -> None:
-        self.settings = settings
-        self.buffer = TensorDictReplayBuffer(
-            storage=LazyTensorStorage(settings.capacity), batch_size=settings.batch_size, transform=mirror
-        )
-        # By default the transform leaves the ends of a window's first step in place; the update must see its last.
-        self._steps = MultiStepTransform(settings.n_step, gamma, done_keys=[]) if settings.n_step > 1 else None
+    def __init__(self, settings: ReplaySettings, gamma: float, history: int = 5, mirror: Mirror | None = None) -> None:
+        self.settings, self.mirror = settings, mirror
+        self.buffer: FrameBuffer | StackedBuffer
+        if settings.storage == "frames":
+            self.buffer = FrameBuffer(settings.capacity, settings.batch_size, history, settings.n_step, gamma)
+        else:
+            self.buffer = StackedBuffer(settings.capacity, settings.batch_size, settings.n_step, gamma)
 
     def __len__(self) -> int:
         return len(self.buffer)
 
+    @property
+    def ready(self) -> bool:
+        """Whether a batch's worth of transitions can be drawn."""
+        return self.buffer.ready * max(1, self.buffer.robots) >= self.settings.batch_size
+
     def extend(self, collected: TensorDictBase) -> None:
         """Remember ``collected``, batch size ``[robots, time]``."""
+        self.buffer.extend(collected)
+
+    def sample(self) -> TensorDictBase:
+        """A batch of ``settings.batch_size`` transitions."""
+        batch = self.buffer.sample()
+        return batch if self.mirror is None else self.mirror(batch)
+
+
+class StackedBuffer:
+    """TorchRL's replay buffer, with the stacks stored as they came: simple, and five times the memory.
+
+    Args:
+        capacity: Transitions kept.
+        batch_size: Transitions drawn at once.
+        n_step: Rewards summed before the bootstrap.
+        gamma: Their discount.
+    """
+
+    robots = 1
+
+    def __init__(self, capacity: int, batch_size: int, n_step: int, gamma: float) -> None:
+        self.torchrl = TensorDictReplayBuffer(storage=LazyTensorStorage(capacity), batch_size=batch_size)
+        # By default the transform leaves the ends of a window's first step in place; the update must see its last.
+        self._steps = MultiStepTransform(n_step, gamma, done_keys=[]) if n_step > 1 else None
+
+    def __len__(self) -> int:
+        return len(self.torchrl)
+
+    @property
+    def ready(self) -> int:
+        """Transitions that can be drawn."""
+        return len(self.torchrl)
+
+    def extend(self, collected: TensorDictBase) -> None:
+        """Append ``collected``, batch size ``[robots, time]``."""
         steps = collected.select(*KEPT, *ENDS)
         if self._steps is not None:
             steps = self._steps.inv(steps)
             if steps is None:
                 return
             steps = steps.select(*KEPT, *ENDS, "steps_to_next_obs")
-        self.buffer.extend(steps.reshape(-1))
+        self.torchrl.extend(steps.reshape(-1))
 
     def sample(self) -> TensorDictBase:
-        """A batch of ``settings.batch_size`` transitions."""
-        return self.buffer.sample()
+        """A batch drawn uniformly."""
+        return self.torchrl.sample()

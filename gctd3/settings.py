@@ -16,6 +16,7 @@ from typing import Any
 from hydra.errors import HydraException
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import MissingMandatoryValue
 
 from gctd3.errors import ConfigError
 
@@ -28,7 +29,10 @@ def build(config: DictConfig | Mapping[str, Any]) -> Any:  # noqa: ANN401 - what
     """
     plain: Any = config
     if isinstance(config, DictConfig):
-        plain = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+        try:
+            plain = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+        except MissingMandatoryValue as error:
+            raise ConfigError(f"{error.full_key}=... is required; --help shows how.") from error
     return _build(plain, "")
 
 
@@ -45,8 +49,10 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
     where = path or "the configuration"
     try:
         function = get_object(target)
-    except (HydraException, ImportError, ValueError) as error:
+    except (HydraException, ImportError, ValueError, AttributeError) as error:
         raise ConfigError(f"{where}: _target_ {target!r} cannot be imported: {error}") from error
+    if not callable(function):
+        raise ConfigError(f"{where}: _target_ {target!r} is not a class or function.")
     parameters = inspect.signature(function).parameters
     hints = _hints(function)
     for key, value in arguments.items():
@@ -62,7 +68,11 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
         key: float(value) if isinstance(value, int) and _is_float(hints.get(key)) else value
         for key, value in arguments.items()
     }
-    return function(**converted)
+    try:
+        return function(**converted)
+    except ConfigError as error:
+        # Targets name their own fields; the path to them is known here.
+        raise ConfigError(f"{path}.{error}".lstrip(".")) from error
 
 
 def suggest(key: str, known: Iterable[str]) -> str:

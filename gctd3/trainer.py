@@ -7,9 +7,8 @@ import logging
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import torch
 from torchrl import torchrl_logger
@@ -17,185 +16,13 @@ from torchrl.collectors import Collector
 from torchrl.record.loggers import Logger, get_logger
 from tqdm import tqdm
 
-from gctd3.algorithms.base import AlgorithmSettings, Architecture
 from gctd3.checkpoint import Checkpoints
-from gctd3.envs.factory import EnvSettings, build_env
-from gctd3.envs.gait import FEATURES, Reward, WalkingTask
+from gctd3.envs.factory import build_env
 from gctd3.errors import ConfigError
 from gctd3.evaluate import evaluate
-from gctd3.exploration import ExplorationSettings, Explorer
-from gctd3.graph import KinematicGraph
-from gctd3.nn import Network
-from gctd3.replay import Mirror, Replay, ReplaySettings
-from gctd3.robot import Robot
-
-COLUMNS = (
-    "frames",
-    "updates",
-    "wall_s",
-    "return_mean",
-    "return_std",
-    "velocity_mean",
-    "distance_mean",
-    "success_rate",
-    "hip_correlation",
-    "stride_hz",
-    "flight_fraction",
-)
-
-
-@dataclass(frozen=True)
-class RobotSettings:
-    """Which robot, and which graph over it.
-
-    Attributes:
-        name: A shipped robot, or the path of an MJCF file.
-        graph: Preset of :meth:`gctd3.KinematicGraph.from_robot`.
-        graph_seed: For ``graph=random``.
-    """
-
-    name: str = "biped"
-    graph: Literal["tree", "authors", "edgeless", "complete", "random"] = "tree"
-    graph_seed: int = 0
-
-
-@dataclass(frozen=True)
-class EvaluationSettings:
-    """How training judges its policy.
-
-    Attributes:
-        every: Frames between evaluations.
-        episodes: Episodes of each.
-        seed: Of their starts: the same in every evaluation, and not the training's.
-        reward: Under which they are judged.
-    """
-
-    reward: Reward
-    every: int = 20_000
-    episodes: int = 10
-    seed: int = 1_000
-
-    def __post_init__(self) -> None:
-        for name in ("every", "episodes"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"evaluation.{name} must be at least 1, got {getattr(self, name)}.")
-
-
-@dataclass(frozen=True)
-class StopWhen:
-    """What an evaluation has to show; it ranks policies, and can end the training.
-
-    Attributes:
-        at_least: Lowest values, by the name of the metric.
-        at_most: Highest values, by the name of the metric.
-        evaluations: Evaluations in a row that must show all of it to end the training; ``None`` to train on.
-    """
-
-    at_least: Mapping[str, float] = field(default_factory=dict)
-    at_most: Mapping[str, float] = field(default_factory=dict)
-    evaluations: int | None = None
-
-    def __post_init__(self) -> None:
-        unknown = [name for name in (*self.at_least, *self.at_most) if name not in COLUMNS]
-        if unknown:
-            raise ConfigError(f"stop_when has no metric {', '.join(unknown)}; there are {', '.join(COLUMNS)}.")
-        if self.evaluations is not None and self.evaluations < 1:
-            raise ConfigError(f"stop_when.evaluations must be at least 1, or null, got {self.evaluations}.")
-
-    def reached(self, metrics: Mapping[str, float]) -> int:
-        """How many of the conditions hold; an undefined metric meets none."""
-        low = sum(metrics.get(name, math.nan) >= bound for name, bound in self.at_least.items())
-        high = sum(metrics.get(name, math.nan) <= bound for name, bound in self.at_most.items())
-        return low + high
-
-    def all_reached(self, metrics: Mapping[str, float]) -> bool:
-        """Whether all of the conditions hold."""
-        return self.reached(metrics) == len(self.at_least) + len(self.at_most)
-
-    def score(self, metrics: Mapping[str, float]) -> float:
-        """Ranks policies by the conditions that they meet, then by return."""
-        return self.reached(metrics) + math.tanh(metrics["return_mean"] / 1e4)
-
-
-@dataclass(frozen=True)
-class TrainSettings:
-    """Everything that a training is determined by.
-
-    Attributes:
-        robot: Which robot and graph.
-        env: How it is simulated.
-        reward: For which it trains.
-        algo: The algorithm.
-        network: Its networks.
-        exploration: How it tries things out.
-        replay: What it remembers.
-        evaluation: How it is judged.
-        stop_when: What it has to show.
-        seed: Of networks, exploration, replay and starts.
-        total_frames: Frames to collect, all robots together.
-        total_episodes: Episodes after which to end, counted as they end; ``None`` for any number.
-        steps: Control steps of every robot between updates.
-        updates: Updates after those.
-        threads: Of PyTorch; its own default if ``None``.
-        logger: Where curves go, besides ``progress.csv``.
-        keep_checkpoints: Newest checkpoints to keep, besides the best.
-    """
-
-    robot: RobotSettings
-    env: EnvSettings
-    reward: Reward
-    algo: AlgorithmSettings
-    network: Network
-    exploration: ExplorationSettings
-    replay: ReplaySettings
-    evaluation: EvaluationSettings
-    stop_when: StopWhen
-    seed: int = 0
-    total_frames: int = 400_000
-    total_episodes: int | None = None
-    steps: int = 1
-    updates: int = 4
-    threads: int | None = None
-    logger: Literal["csv", "tensorboard", "wandb", "mlflow", "none"] = "tensorboard"
-    keep_checkpoints: int = 1
-
-    def __post_init__(self) -> None:
-        for name in ("total_frames", "steps", "updates", "keep_checkpoints"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
-        if self.total_episodes is not None and self.total_episodes < 1:
-            raise ConfigError(f"total_episodes must be at least 1, or null, got {self.total_episodes}.")
-        if self.seed < 0:
-            raise ConfigError(f"seed must be at least 0, got {self.seed}.")
-        if self.threads is not None and self.threads < 1:
-            raise ConfigError(f"threads must be at least 1, or null, got {self.threads}.")
-        frames = self.env.num_envs * self.steps
-        if self.total_frames < frames:
-            raise ConfigError(
-                f"total_frames must be at least env.num_envs * steps = {frames}, got {self.total_frames}."
-            )
-        if self.replay.mirror and self.env.history < 1:
-            raise ConfigError("replay.mirror needs env.history of at least 1.")
-
-    def load_robot(self) -> Robot:
-        """The robot.
-
-        Raises:
-            RobotError: If it cannot be used.
-        """
-        return Robot.from_mjcf(self.robot.name)
-
-    def architecture(self) -> Architecture:
-        """What the networks are built from."""
-        robot = self.load_robot()
-        task = WalkingTask(robot, self.reward, self.env.endings, self.env.control_dt)
-        return Architecture(
-            graph=KinematicGraph.from_robot(robot, self.robot.graph, self.robot.graph_seed),
-            network=self.network,
-            in_features=FEATURES * self.env.history,
-            action_dim=len(robot.actuated),
-            privileged_dim=task.num_counters if self.algo.privileged_critic else 0,
-        )
+from gctd3.exploration import Explorer
+from gctd3.replay import Mirror, Replay
+from gctd3.train_settings import COLUMNS, TrainSettings
 
 
 class Trainer:
@@ -219,17 +46,9 @@ class Trainer:
         env = settings.env
         self.explorer = Explorer(self.algorithm.actor, self.robot, env.num_envs, settings.exploration, env.control_dt)
         mirror = Mirror(self.robot, env.history) if settings.replay.mirror else None
-        self.replay = Replay(settings.replay, settings.algo.gamma, mirror)
+        self.replay = Replay(settings.replay, settings.algo.gamma, env.history, mirror)
         self.env = build_env(self.robot, env, settings.reward, settings.seed)
-        judged = EnvSettings(
-            backend="batched",
-            num_envs=settings.evaluation.episodes,
-            history=env.history,
-            control_dt=env.control_dt,
-            threads=env.threads,
-            start=env.start,
-            endings=env.endings,
-        )
+        judged = replace(env, backend="batched", num_envs=settings.evaluation.episodes)
         self.evaluation_env = build_env(self.robot, judged, settings.evaluation.reward, settings.evaluation.seed)
         self.checkpoints = Checkpoints(directory, settings.keep_checkpoints)
         self.logger = make_logger(settings.logger, directory)
@@ -264,7 +83,7 @@ class Trainer:
                 frames += collected.numel()
                 episodes += int(collected["next", "done"].sum())
                 self.replay.extend(collected)
-                learning = not self.explorer.warming_up and len(self.replay) >= settings.replay.batch_size
+                learning = not self.explorer.warming_up and self.replay.ready
                 for _ in range(settings.updates if learning else 0):
                     metrics = self.algorithm.update(self.replay.sample())
                 bar.update(collected.numel())

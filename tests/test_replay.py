@@ -34,14 +34,21 @@ def episode(robots, time, terminated=(), truncated=()):
     following = {"nodes": t[..., None] + 0.5, "counters": number, "reward": 2.0**t, **ends}
     following |= {"done": ends["terminated"] | ends["truncated"], "position": t, "step_count": t}
     return TensorDict(
-        {"nodes": t[..., None], "counters": number, "action": -t, "is_init": t == 0, "step_count": t, "next": following},
+        {
+            "nodes": t[..., None],
+            "counters": number,
+            "action": -t,
+            "is_init": t == 0,
+            "step_count": t,
+            "next": following,
+        },
         [robots, time],
     )
 
 
 def content(collected, n_step, sizes):
-    """Everything that a replay holds after the collected steps came in chunks of ``sizes``, ordered by robot and time."""
-    replay = Replay(ReplaySettings(capacity=10_000, batch_size=1, n_step=n_step), GAMMA)
+    """What a replay holds after the steps came in chunks of ``sizes``, ordered by robot and time."""
+    replay = Replay(ReplaySettings(capacity=10_000, batch_size=1, n_step=n_step, storage="stacked"), GAMMA)
     for chunk in collected.split(list(sizes), dim=1):
         replay.extend(chunk.clone())
     held = replay.buffer[:]
@@ -99,7 +106,7 @@ def test_windows_of_any_length_in_chunks_of_any_size(n, sizes, share, seed):
         collected["next", name] = torch.rand(2, sum(sizes), 1) < share / 2
     collected["next", "done"] = collected["next", "terminated"] | collected["next", "truncated"]
     collected["next", "reward"] = torch.randn(2, sum(sizes), 1)
-    replay = Replay(ReplaySettings(capacity=1000, batch_size=1, n_step=n), GAMMA)
+    replay = Replay(ReplaySettings(capacity=1000, batch_size=1, n_step=n, storage="stacked"), GAMMA)
     for chunk in collected.split(sizes, dim=1):
         replay.extend(chunk.clone())
     ready = sum(sizes) - n if n > 1 else sum(sizes)
@@ -127,7 +134,7 @@ def test_a_collector_may_deliver_one_step_at_a_time(robot, graph):
         torch.manual_seed(0)
         env = build_env(robot, EnvSettings(num_envs=4, threads=1, endings=Endings(time_limit=9)), Reward(), seed=0)
         explorer = Explorer(make_actor(graph), robot, 4, ExplorationSettings(warmup_frames=40))
-        replay = Replay(ReplaySettings(capacity=1000, batch_size=4, n_step=3), 0.9)
+        replay = Replay(ReplaySettings(capacity=1000, batch_size=4, n_step=3, storage="stacked"), 0.9)
         collector = Collector(env, explorer, frames_per_batch=4 * steps, total_frames=4 * 24)
         for collected in collector:
             replay.extend(collected)
@@ -154,7 +161,7 @@ def test_keeps_what_updates_read_and_nothing_else(n_step):
 
 
 def test_the_oldest_leave_first():
-    replay = Replay(ReplaySettings(capacity=5, batch_size=3), GAMMA)
+    replay = Replay(ReplaySettings(capacity=5, batch_size=3, storage="stacked"), GAMMA)
     steps = episode(1, 8)
     for t in range(8):
         replay.extend(steps[:, t : t + 1])
@@ -164,7 +171,7 @@ def test_the_oldest_leave_first():
 
 
 def test_batch_size():
-    replay = Replay(ReplaySettings(capacity=50, batch_size=17), GAMMA)
+    replay = Replay(ReplaySettings(capacity=50, batch_size=17, storage="stacked"), GAMMA)
     replay.extend(episode(2, 3))
     assert replay.sample().batch_size == (17,)
 
@@ -274,7 +281,7 @@ def test_only_the_second_half_of_a_batch_is_mirrored(biped, size):
 
 def test_sampling_mirrors_copies_and_not_what_is_remembered(biped):
     mirror, seen = Mirror(biped, HISTORY), transitions(1)
-    replay = Replay(ReplaySettings(capacity=10, batch_size=4, mirror=True), GAMMA, mirror)
+    replay = Replay(ReplaySettings(capacity=10, batch_size=4, mirror=True, storage="stacked"), GAMMA, mirror)
     replay.extend(seen[:, None])
     for _ in range(3):
         nodes = replay.sample()["nodes"]

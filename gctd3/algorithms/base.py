@@ -57,7 +57,6 @@ class AlgorithmSettings(ABC):
     """Hyperparameters that all algorithms share.
 
     Attributes:
-        name: Of the algorithm, as printed and in the run's path.
         learning_rate: Of Adam, for every network.
         tau: Share of the trained parameters that enters the averaged ones at each target update.
         gamma: Discount factor.
@@ -65,7 +64,6 @@ class AlgorithmSettings(ABC):
         privileged_critic: Whether the critics also see how near each time-based ending is.
     """
 
-    name: str = ""
     learning_rate: float = 3e-4
     tau: float = 0.005
     gamma: float = 0.99
@@ -74,11 +72,11 @@ class AlgorithmSettings(ABC):
 
     def __post_init__(self) -> None:
         if not self.learning_rate > 0:
-            raise ConfigError(f"algo.learning_rate must be above 0, got {self.learning_rate}.")
+            raise ConfigError(f"learning_rate must be above 0, got {self.learning_rate}.")
         if not 0 < self.tau <= 1:
-            raise ConfigError(f"algo.tau must be in (0, 1], got {self.tau}.")
+            raise ConfigError(f"tau must be in (0, 1], got {self.tau}.")
         if not 0 <= self.gamma < 1:
-            raise ConfigError(f"algo.gamma must be in [0, 1), got {self.gamma}.")
+            raise ConfigError(f"gamma must be in [0, 1), got {self.gamma}.")
 
     @abstractmethod
     def build(self, architecture: Architecture) -> Algorithm:
@@ -114,7 +112,7 @@ class Algorithm(ABC):
         """A copy of the actor to evaluate and ship: averaged if the settings say so, without gradients."""
         policy = copy.deepcopy(self.actor).requires_grad_(False).eval()
         if self.settings.average_policy:
-            self.averaged_actor_params().data.to_module(policy)
+            self.averaged_actor_params().data.clone().to_module(policy)
         return policy
 
     def optimizer(self, name: str, parameters: Iterable[nn.Parameter]) -> torch.optim.Optimizer:

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.objectives import SACLoss, SoftUpdate
+from torchrl.objectives import SoftUpdate
 
 from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics
 from gctd3.errors import ConfigError
+from gctd3.objectives import SACLoss
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class SACSettings(AlgorithmSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.alpha > 0:
-            raise ConfigError(f"algo.alpha must be above 0, got {self.alpha}.")
+            raise ConfigError(f"alpha must be above 0, got {self.alpha}.")
 
     def build(self, architecture: Architecture) -> SAC:
         """The algorithm, with fresh networks."""

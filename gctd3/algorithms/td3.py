@@ -29,11 +29,10 @@ class TD3Settings(AlgorithmSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.policy_delay < 1:
-            raise ConfigError(f"algo.policy_delay must be at least 1, got {self.policy_delay}.")
+            raise ConfigError(f"policy_delay must be at least 1, got {self.policy_delay}.")
         if self.policy_noise < 0 or self.noise_clip < 0:
             raise ConfigError(
-                f"algo.policy_noise and algo.noise_clip must be at least 0, "
-                f"got {self.policy_noise} and {self.noise_clip}."
+                f"policy_noise and noise_clip must be at least 0, got {self.policy_noise} and {self.noise_clip}."
             )
 
     def build(self, architecture: Architecture) -> TD3:

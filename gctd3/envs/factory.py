@@ -49,11 +49,11 @@ class EnvSettings:
     def __post_init__(self) -> None:
         for name in ("num_envs", "history"):
             if getattr(self, name) < 1:
-                raise ConfigError(f"env.{name} must be at least 1, got {getattr(self, name)}.")
+                raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
         if self.threads is not None and self.threads < 1:
-            raise ConfigError(f"env.threads must be at least 1, or null for all cores, got {self.threads}.")
+            raise ConfigError(f"threads must be at least 1, or null for all cores, got {self.threads}.")
         if not self.control_dt > 0:
-            raise ConfigError(f"env.control_dt must be above 0 s, got {self.control_dt}.")
+            raise ConfigError(f"control_dt must be above 0 s, got {self.control_dt}.")
 
 
 def build_env(robot: Robot, settings: EnvSettings, reward: Reward, seed: int) -> EnvBase:
@@ -82,7 +82,7 @@ def build_env(robot: Robot, settings: EnvSettings, reward: Reward, seed: int) ->
         env = SerialEnv(settings.num_envs, [lambda i=i: make(i) for i in range(settings.num_envs)])
         cast = [DoubleToFloat()]
     else:
-        raise ConfigError(f"env.backend must be batched or dm_control, got {settings.backend!r}.")
+        raise ConfigError(f"backend must be batched or dm_control, got {settings.backend!r}.")
     stack = CatFrames(N=settings.history, dim=-1, in_keys=["nodes"], padding="same")
     return TransformedEnv(env, Compose(*cast, InitTracker(), StepCounter(), stack))
 

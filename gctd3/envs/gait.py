@@ -93,7 +93,7 @@ class Endings:
     def __post_init__(self) -> None:
         _require_at_least(self, 1, "contact_steps", "hip_steps", "time_limit")
         if not self.finish > 0:
-            raise ConfigError(f"endings.finish must be a distance above 0 m, got {self.finish}.")
+            raise ConfigError(f"finish must be a distance above 0 m, got {self.finish}.")
 
 
 @dataclass(frozen=True)
@@ -337,5 +337,4 @@ def _require_at_least(settings: object, least: int, *names: str) -> None:
     for name in names:
         value = getattr(settings, name)
         if value is not None and value < least:
-            kind = type(settings).__name__.lower()
-            raise ConfigError(f"{kind}.{name} must be at least {least}, got {value}.")
+            raise ConfigError(f"{name} must be at least {least}, got {value}.")

@@ -25,6 +25,11 @@ class Start:
     angle_noise: float = 0.05
     velocity_noise: float = 0.1
 
+    def __post_init__(self) -> None:
+        for name in ("angle_noise", "velocity_noise"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"{name} must be at least 0, got {getattr(self, name)}.")
+
 
 class Simulation:
     """A batch of robots. Physics, sensing, reward and endings; resets are the caller's.

@@ -32,9 +32,9 @@ class Network:
     def __post_init__(self) -> None:
         for name, sizes in (("graph_layers", self.graph_layers), ("hidden", self.hidden)):
             if any(size < 1 for size in sizes):
-                raise ConfigError(f"network.{name} must hold sizes of at least 1, got {list(sizes)}.")
+                raise ConfigError(f"{name} must hold sizes of at least 1, got {list(sizes)}.")
         if not self.hidden:
-            raise ConfigError("network.hidden must hold at least one size, got [].")
+            raise ConfigError("hidden must hold at least one size, got [].")
 
     def encoder(self, graph: KinematicGraph, in_features: int) -> GraphEncoder | FlatEncoder:
         """A fresh encoder of ``[*, N, in_features]``."""

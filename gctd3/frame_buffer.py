@@ -1,0 +1,201 @@
+"""Replay that stores every frame once and stacks histories when a batch is drawn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from gctd3.envs.gait import FEATURES
+from gctd3.errors import ConfigError
+
+
+class FrameBuffer:
+    """A ring of control steps, a row for each step and a column for each robot.
+
+    A row holds the newest frame before its step, so the frame after it is the next row's. Only the last step of an
+    episode has no such row: its final frame lies in a table beside the ring, which grows as needed and whose places are
+    used again when their row is overwritten.
+
+    Worked example (history 3, episode begins in row 5): the stack of row 6 is frames 5, 5, 6, that of row 5 is 5, 5, 5,
+    as CatFrames with ``padding="same"`` delivered them.
+
+    Args:
+        capacity: Transitions kept, all robots together.
+        batch_size: Transitions drawn at once.
+        history: ``H``, frames in a stack.
+        n_step: Rewards summed before the bootstrap.
+        gamma: Their discount.
+
+    Raises:
+        ConfigError: If the capacity is too small for the robots that the first batch brings.
+    """
+
+    KEYS = ("nodes", "counters")  # observations; of "nodes" only the newest frame is stored
+
+    def __init__(self, capacity: int, batch_size: int, history: int, n_step: int, gamma: float) -> None:
+        self.capacity, self.batch_size = capacity, batch_size
+        self.history, self.n_step, self.gamma = history, n_step, gamma
+        self._ring: dict[str, Tensor] = {}
+        self._last: dict[str, Tensor] = {}
+        self._free: list[int] = []
+        self.head = self.rows = self.filled = self.robots = 0
+
+    def _allocate(self, step: TensorDictBase) -> None:
+        self.robots = step.shape[0]
+        self.rows = self.capacity // self.robots
+        least = self.history + self.n_step
+        if self.rows < least:
+            raise ConfigError(
+                f"replay.capacity must be at least {least * self.robots} for {self.robots} robots, "
+                f"a history of {self.history} and {self.n_step} steps, got {self.capacity}."
+            )
+        for key, values in step.items():
+            self._ring[key] = torch.zeros((self.rows, *values.shape), dtype=values.dtype)
+        self._ring["last"] = torch.full((self.rows, self.robots), -1, dtype=torch.int32)
+        for key in self.KEYS:
+            self._last[key] = self._ring[key].new_zeros((0, *self._ring[key].shape[2:]))
+
+    def __len__(self) -> int:
+        return self.filled * self.robots
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of what is stored (bytes)."""
+        return sum(tensor.nbytes for tensor in (*self._ring.values(), *self._last.values()))
+
+    def extend(self, collected: TensorDictBase) -> None:
+        """Append ``collected``, batch size ``[robots, time]``, in the order of time."""
+        following = collected["next"]
+        for t in range(collected.shape[1]):
+            step = TensorDict(
+                {
+                    "nodes": collected["nodes"][:, t, :, -FEATURES:],
+                    "counters": collected["counters"][:, t],
+                    "action": collected["action"][:, t],
+                    "reward": following["reward"][:, t, 0],
+                    "terminated": following["terminated"][:, t, 0],
+                    "truncated": following["truncated"][:, t, 0],
+                    # Frames of the episode before this one, as far as a stack reaches.
+                    "age": collected["step_count"][:, t, 0].clamp(max=self.history - 1).to(torch.uint8),
+                },
+                [collected.shape[0]],
+            )
+            if not self._ring:
+                self._allocate(step)
+            self._append(step, following[:, t])
+
+    def _append(self, step: TensorDictBase, following: TensorDictBase) -> None:
+        row, last = self.head, self._ring["last"]
+        self._free += last[row][last[row] >= 0].tolist()
+        for key, values in step.items():
+            self._ring[key][row] = values
+        last[row] = -1
+        ended = torch.nonzero(step["terminated"] | step["truncated"])[:, 0]
+        if len(ended):
+            places = torch.tensor(self._places(len(ended)))
+            last[row, ended] = places.to(torch.int32)
+            self._last["nodes"][places] = following["nodes"][ended][..., -FEATURES:]
+            self._last["counters"][places] = following["counters"][ended]
+        self.head = (row + 1) % self.rows
+        self.filled = min(self.filled + 1, self.rows)
+
+    def _places(self, count: int) -> list[int]:
+        size = len(self._last["nodes"])
+        if len(self._free) < count:
+            more = max(count, size, 64)
+            for key, values in self._last.items():
+                self._last[key] = torch.cat([values, values.new_zeros((more, *values.shape[1:]))])
+            self._free += range(size, size + more)
+        return [self._free.pop() for _ in range(count)]
+
+    @property
+    def ready(self) -> int:
+        """Rows that can be drawn.
+
+        The newest ``n_step`` lack their future (the very last even its next frame); once the ring has gone round, the
+        oldest ``history - 1`` may lack their past.
+        """
+        lost = self.n_step + (self.history - 1 if self.filled == self.rows else 0)
+        return max(0, self.filled - lost)
+
+    def sample(self) -> TensorDictBase:
+        """A batch of ``batch_size`` transitions with stacked histories, drawn uniformly.
+
+        Raises:
+            RuntimeError: If there are none yet.
+        """
+        if not self.ready:
+            raise RuntimeError(f"The replay holds {self.filled} steps of each robot: too few to draw from.")
+        first = self.head + self.history - 1 if self.filled == self.rows else 0
+        steps = (first + torch.randint(self.ready, (self.batch_size,))) % self.rows
+        return self.gather(steps, torch.randint(self.robots, (self.batch_size,)))
+
+    def gather(self, row: Tensor, robot: Tensor) -> TensorDictBase:
+        """The transitions of the given rows and robots, each ``[B]``; batch size ``[B]``."""
+        ring = self._ring
+        # The window: up to n steps, ended early by the end of the episode.
+        reward, final, steps = ring["reward"][row, robot].clone(), row, torch.ones_like(row)
+        going = ring["last"][row, robot] < 0
+        for k in range(1, self.n_step):
+            following = (row + k) % self.rows
+            reward += going * self.gamma**k * ring["reward"][following, robot]
+            final, steps = torch.where(going, following, final), steps + going
+            going = going & (ring["last"][following, robot] < 0)
+
+        terminated, truncated = ring["terminated"][final, robot], ring["truncated"][final, robot]
+        after = (final + 1) % self.rows
+        place = ring["last"][final, robot].long()
+        ended = (place >= 0)[:, None]
+        next_frame = torch.where(ended[..., None], self._last_at("nodes", place), ring["nodes"][after, robot])
+        next_counters = torch.where(ended, self._last_at("counters", place), ring["counters"][after, robot])
+        before = self._stack(final, robot, self.history - 1)
+        done = terminated | truncated
+        following_td = {
+            "nodes": torch.cat([*before, next_frame], dim=-1),
+            "counters": next_counters,
+            "reward": reward[:, None],
+            "done": done[:, None],
+            "terminated": terminated[:, None],
+            "truncated": truncated[:, None],
+        }
+        batch = {
+            "nodes": torch.cat(self._stack(row, robot, self.history), dim=-1),
+            "counters": ring["counters"][row, robot],
+            "action": ring["action"][row, robot],
+            "next": TensorDict(following_td, [len(row)]),
+        }
+        if self.n_step > 1:
+            batch["steps_to_next_obs"] = steps
+        return TensorDict(batch, [len(row)])
+
+    def _stack(self, row: Tensor, robot: Tensor, frames: int) -> list[Tensor]:
+        """The ``frames`` frames up to ``row``, oldest first; before the episode's first it repeats."""
+        age = self._ring["age"][row, robot].long()
+        back = [torch.clamp(age, max=k) for k in range(frames - 1, -1, -1)]
+        return [self._ring["nodes"][(row - b) % self.rows, robot] for b in back]
+
+    def _last_at(self, key: str, place: Tensor) -> Tensor:
+        table = self._last[key]
+        if not len(table):
+            return self._ring[key].new_zeros((len(place), *self._ring[key].shape[2:]))
+        return table[place.clamp(min=0)]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that is stored."""
+        return {
+            "ring": dict(self._ring),
+            "last": dict(self._last),
+            "free": list(self._free),
+            "head": self.head,
+            "filled": self.filled,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`state_dict`."""
+        self._ring, self._last = dict(state["ring"]), dict(state["last"])
+        self._free, self.head, self.filled = list(state["free"]), int(state["head"]), int(state["filled"])
+        if self._ring:
+            self.rows, self.robots = self._ring["last"].shape

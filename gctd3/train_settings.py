@@ -1,0 +1,199 @@
+"""Everything that a training is determined by."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from gctd3.algorithms.base import AlgorithmSettings, Architecture
+from gctd3.envs.factory import EnvSettings
+from gctd3.envs.gait import FEATURES, Reward, WalkingTask
+from gctd3.errors import ConfigError
+from gctd3.exploration import ExplorationSettings
+from gctd3.graph import KinematicGraph
+from gctd3.nn import Network
+from gctd3.replay import ReplaySettings
+from gctd3.robot import Robot
+
+# Of progress.csv.
+COLUMNS = (
+    "frames",
+    "updates",
+    "wall_s",
+    "return_mean",
+    "return_std",
+    "velocity_mean",
+    "distance_mean",
+    "success_rate",
+    "hip_correlation",
+    "stride_hz",
+    "flight_fraction",
+)
+
+
+@dataclass(frozen=True)
+class RobotSettings:
+    """Which robot, and which graph over it.
+
+    Attributes:
+        name: A shipped robot, or the path of an MJCF file.
+        graph: Preset of :meth:`gctd3.KinematicGraph.from_robot`.
+        graph_seed: For ``graph=random``.
+    """
+
+    name: str = "biped"
+    graph: Literal["tree", "authors", "edgeless", "complete", "random"] = "tree"
+    graph_seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.graph_seed < 0:
+            raise ConfigError(f"graph_seed must be at least 0, got {self.graph_seed}.")
+
+
+@dataclass(frozen=True)
+class EvaluationSettings:
+    """How training judges its policy.
+
+    Attributes:
+        every: Frames between evaluations.
+        episodes: Episodes of each.
+        seed: Of their starts: the same in every evaluation, and not the training's.
+        reward: Under which they are judged.
+    """
+
+    reward: Reward
+    every: int = 20_000
+    episodes: int = 10
+    seed: int = 1_000
+
+    def __post_init__(self) -> None:
+        for name in ("every", "episodes"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        if self.seed < 0:
+            raise ConfigError(f"seed must be at least 0, got {self.seed}.")
+
+
+@dataclass(frozen=True)
+class StopWhen:
+    """What an evaluation has to show; it ranks policies, and can end the training.
+
+    Attributes:
+        at_least: Lowest values, by the name of the metric.
+        at_most: Highest values, by the name of the metric.
+        evaluations: Evaluations in a row that must show all of it to end the training; ``None`` to train on.
+    """
+
+    at_least: Mapping[str, float] = field(default_factory=dict)
+    at_most: Mapping[str, float] = field(default_factory=dict)
+    evaluations: int | None = None
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in (*self.at_least, *self.at_most) if name not in COLUMNS]
+        if unknown:
+            raise ConfigError(
+                f"at_least and at_most know no metric {', '.join(unknown)}; there are {', '.join(COLUMNS)}."
+            )
+        if self.evaluations is not None and self.evaluations < 1:
+            raise ConfigError(f"evaluations must be at least 1, or null, got {self.evaluations}.")
+
+    def reached(self, metrics: Mapping[str, float]) -> int:
+        """How many of the conditions hold; an undefined metric meets none."""
+        low = sum(metrics.get(name, math.nan) >= bound for name, bound in self.at_least.items())
+        high = sum(metrics.get(name, math.nan) <= bound for name, bound in self.at_most.items())
+        return low + high
+
+    def all_reached(self, metrics: Mapping[str, float]) -> bool:
+        """Whether all of the conditions hold."""
+        return self.reached(metrics) == len(self.at_least) + len(self.at_most)
+
+    def score(self, metrics: Mapping[str, float]) -> float:
+        """Ranks policies by the conditions that they meet, then by return."""
+        return self.reached(metrics) + math.tanh(metrics["return_mean"] / 1e4)
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """Everything that a training is determined by.
+
+    Attributes:
+        robot: Which robot and graph.
+        env: How it is simulated.
+        reward: For which it trains.
+        algo: The algorithm.
+        network: Its networks.
+        exploration: How it tries things out.
+        replay: What it remembers.
+        evaluation: How it is judged.
+        stop_when: What it has to show.
+        seed: Of networks, exploration, replay and starts.
+        total_frames: Frames to collect, all robots together.
+        total_episodes: Episodes after which to end, counted as they end; ``None`` for any number.
+        steps: Control steps of every robot between updates.
+        updates: Updates after those.
+        threads: Of PyTorch; its own default if ``None``.
+        logger: Where curves go, besides ``progress.csv``.
+        keep_checkpoints: Newest checkpoints to keep, besides the best.
+    """
+
+    robot: RobotSettings
+    env: EnvSettings
+    reward: Reward
+    algo: AlgorithmSettings
+    network: Network
+    exploration: ExplorationSettings
+    replay: ReplaySettings
+    evaluation: EvaluationSettings
+    stop_when: StopWhen
+    seed: int = 0
+    total_frames: int = 400_000
+    total_episodes: int | None = None
+    steps: int = 1
+    updates: int = 4
+    threads: int | None = None
+    logger: Literal["csv", "tensorboard", "wandb", "mlflow", "none"] = "tensorboard"
+    keep_checkpoints: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("total_frames", "steps", "updates", "keep_checkpoints"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        if self.total_episodes is not None and self.total_episodes < 1:
+            raise ConfigError(f"total_episodes must be at least 1, or null, got {self.total_episodes}.")
+        if self.seed < 0:
+            raise ConfigError(f"seed must be at least 0, got {self.seed}.")
+        if self.threads is not None and self.threads < 1:
+            raise ConfigError(f"threads must be at least 1, or null, got {self.threads}.")
+        frames = self.env.num_envs * self.steps
+        if self.total_frames < frames:
+            raise ConfigError(
+                f"total_frames must be at least env.num_envs * steps = {frames}, got {self.total_frames}."
+            )
+        least = self.env.num_envs * (self.env.history + self.replay.n_step)
+        if self.replay.storage == "frames" and self.replay.capacity < least:
+            raise ConfigError(
+                f"replay.capacity must be at least env.num_envs * (env.history + replay.n_step) = {least}, "
+                f"got {self.replay.capacity}."
+            )
+
+    def load_robot(self) -> Robot:
+        """The robot.
+
+        Raises:
+            RobotError: If it cannot be used.
+        """
+        return Robot.from_mjcf(self.robot.name)
+
+    def architecture(self) -> Architecture:
+        """What the networks are built from."""
+        robot = self.load_robot()
+        task = WalkingTask(robot, self.reward, self.env.endings, self.env.control_dt)
+        return Architecture(
+            graph=KinematicGraph.from_robot(robot, self.robot.graph, self.robot.graph_seed),
+            network=self.network,
+            in_features=FEATURES * self.env.history,
+            action_dim=len(robot.actuated),
+            privileged_dim=task.num_counters if self.algo.privileged_critic else 0,
+        )
