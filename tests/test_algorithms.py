@@ -28,7 +28,7 @@ every_algorithm = pytest.mark.parametrize("name", KINDS)
 
 def build(name, network=GCN, privileged_dim=PRIVILEGED, architecture=Architecture, seed=0, **settings):
     torch.manual_seed(seed)
-    return KINDS[name](name=name, **settings).build(architecture(GRAPH, network, 2, 1, privileged_dim))
+    return KINDS[name](**settings).build(architecture(GRAPH, network, 2, 1, privileged_dim))
 
 
 def goal(nodes):

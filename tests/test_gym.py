@@ -82,3 +82,10 @@ def test_bad_arguments():
         gymnasium.make(BIPED, history=0)
     with pytest.raises(RobotError, match="No robot 'nobody'"):
         gymnasium.make(BIPED, robot="nobody")
+
+
+@pytest.mark.filterwarnings("ignore:.*unconventional shape:UserWarning")
+def test_stable_baselines3_checker():
+    from stable_baselines3.common.env_checker import check_env as check
+
+    check(gymnasium.make(BIPED).unwrapped)

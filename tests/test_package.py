@@ -20,14 +20,14 @@ STAGES = [
     "graph",
     "envs.gait envs.simulation envs.batched envs.dmc envs.gym envs.factory envs",
     "nn.layers nn.graph_conv nn.encoder nn.network nn.actor nn.critic nn",
-    "objectives.stacked objectives.td3 objectives",
+    "objectives.stacked objectives.td3 objectives.sac objectives",
     "algorithms.base algorithms.td3 algorithms.ddpg algorithms.sac algorithms",
     "exploration",
-    "replay",
+    "frame_buffer replay",
     "gait_metrics",
     "settings",
     "cli",
-    "checkpoint",
+    "train_settings checkpoint",
     "evaluate",
     "render",
     "trainer",
@@ -47,15 +47,8 @@ def modules():
 
 
 def imported(file):
-    """Modules of the package that a file imports, each with whether only type checkers see it."""
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    unseen = {
-        id(node)
-        for block in ast.walk(tree)
-        if isinstance(block, ast.If) and getattr(block.test, "id", "") == "TYPE_CHECKING"
-        for node in ast.walk(block)
-    }
-    for node in ast.walk(tree):
+    """Modules of the package that a file imports, late and for type checkers only too."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         names = []
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -65,7 +58,7 @@ def imported(file):
             names = [name if name.removeprefix("gctd3.") in ORDER else node.module for name in inside]
         for name in names:
             if name.startswith("gctd3."):
-                yield name.removeprefix("gctd3."), id(node) in unseen
+                yield name.removeprefix("gctd3.")
 
 
 def fresh(code):
@@ -82,9 +75,9 @@ def test_every_module_has_its_place():
 def test_imports_point_one_way():
     forward = []
     for name, file in modules():
-        for other, unseen in imported(file):
+        for other in imported(file):
             assert other in ORDER, f"{name} imports gctd3.{other}, which is no module"
-            if ORDER.index(other) >= ORDER.index(name) and not (unseen and (name, other) == ("checkpoint", "trainer")):
+            if ORDER.index(other) >= ORDER.index(name):
                 forward.append(f"{name} imports {other}")
     assert not forward, "; ".join(forward)
 

@@ -18,103 +18,109 @@ from gctd3.nn import make_actor
 from gctd3.replay import ENDS, KEPT, Mirror, Replay, ReplaySettings
 from gctd3.robot import Robot
 
-# n-step windows. Every reward is 2^t and gamma is 0.5, so a window that begins at t sums to 2^t times its length.
+STORAGES = ("frames", "stacked")
 GAMMA = 0.5
 
 
-def episode(robots, time, terminated=(), truncated=()):
-    """What a collector delivers; nodes hold ``t``, next nodes ``t + 0.5``; endings are pairs (robot, t)."""
+def flags(robots, time, *places):
+    """Bool ``[robots, time]``, true at each (robot, t)."""
+    mask = torch.zeros(robots, time, dtype=torch.bool)
+    for place in places:
+        mask[place] = True
+    return mask
+
+
+def episodes(terminated, truncated):
+    """What a collector delivers: nodes hold the time, an episode's last ones half a step more; counters the robot."""
+    robots, time = terminated.shape
+    ends = {"terminated": terminated[..., None], "truncated": truncated[..., None]}
+    ends["done"] = ends["terminated"] | ends["truncated"]
     t = torch.arange(float(time)).expand(robots, time)[..., None]
     number = torch.arange(float(robots))[:, None, None].expand(robots, time, 1)
-    ends = {"terminated": torch.zeros(robots, time, 1, dtype=torch.bool)}
-    ends["truncated"] = ends["terminated"].clone()
-    for name, pairs in (("terminated", terminated), ("truncated", truncated)):
-        for pair in pairs:
-            ends[name][pair] = True
-    following = {"nodes": t[..., None] + 0.5, "counters": number, "reward": 2.0**t, **ends}
-    following |= {"done": ends["terminated"] | ends["truncated"], "position": t, "step_count": t}
-    return TensorDict(
-        {
-            "nodes": t[..., None],
-            "counters": number,
-            "action": -t,
-            "is_init": t == 0,
-            "step_count": t,
-            "next": following,
-        },
-        [robots, time],
-    )
+
+    def nodes(time):
+        return time[..., None].expand(robots, -1, 1, 2)
+
+    root = {"nodes": nodes(t), "counters": number, "action": -t, "is_init": t == 0, "step_count": t, "position": t}
+    after = torch.where(ends["done"], t + 0.5, t + 1.0)
+    following = {"nodes": nodes(after), "counters": number, "reward": 2.0**t, "position": after, **ends}
+    return TensorDict({**root, "next": following}, [robots, time])
 
 
-def content(collected, n_step, sizes):
-    """What a replay holds after the steps came in chunks of ``sizes``, ordered by robot and time."""
-    replay = Replay(ReplaySettings(capacity=10_000, batch_size=1, n_step=n_step, storage="stacked"), GAMMA)
+def filled(storage, collected, sizes, n_step, capacity=1000, history=1, gamma=GAMMA):
+    """A replay that got the collected steps in chunks of the given sizes."""
+    settings = ReplaySettings(capacity=capacity, batch_size=1, n_step=n_step, storage=storage)
+    replay = Replay(settings, gamma, history)
     for chunk in collected.split(list(sizes), dim=1):
         replay.extend(chunk.clone())
-    held = replay.buffer[:]
-    order = sorted(range(len(held)), key=lambda i: (float(held["counters"][i]), float(held["nodes"][i].flatten()[0])))
-    return held[order]
+    return replay
+
+
+def held(replay):
+    """All that can be drawn, in one order: here by robot, then by time."""
+    if replay.settings.storage == "stacked":
+        content = replay.buffer.torchrl[:].exclude("index")
+    else:
+        rows, robots = torch.arange(replay.buffer.ready), replay.buffer.robots
+        content = replay.buffer.gather(rows.repeat(robots), torch.arange(robots).repeat_interleave(len(rows)))
+    key = torch.cat([content["counters"], content["nodes"].flatten(1)], dim=1).tolist()
+    return content[sorted(range(len(content)), key=key.__getitem__)]
 
 
 CHUNKS = [(8,), (1,) * 8, (3, 5), (2, 2, 2, 2), (1, 7), (7, 1), (4, 1, 3)]
 
 
 @pytest.mark.parametrize("sizes", CHUNKS, ids=str)
-def test_three_step_windows_by_hand(sizes):
-    # Robot 0 goes on, robot 1 terminates at t = 2, robot 2 is truncated at t = 3; of 8 steps the first 5 have left.
+@pytest.mark.parametrize("storage", STORAGES)
+def test_three_step_windows_by_hand(storage, sizes):
+    # Every reward is 2^t and gamma is 0.5: a window that begins at t sums to 2^t times its length.
+    # Robot 0 goes on, robot 1 terminates at t = 2, robot 2 is truncated at t = 3; of 8 steps the first 5 are complete.
     #  t  reward           next nodes  steps  terminated  truncated
     expected = [
-        [(0, 3 * 1.0, 2.5, 3, False, False),  # 1 + 2/2 + 4/4
-         (1, 3 * 2.0, 3.5, 3, False, False),
-         (2, 3 * 4.0, 4.5, 3, False, False),
-         (3, 3 * 8.0, 5.5, 3, False, False),
-         (4, 3 * 16., 6.5, 3, False, False)],
+        [(0, 3 * 1.0, 3.0, 3, False, False),  # 1 + 2/2 + 4/4
+         (1, 3 * 2.0, 4.0, 3, False, False),
+         (2, 3 * 4.0, 5.0, 3, False, False),
+         (3, 3 * 8.0, 6.0, 3, False, False),
+         (4, 3 * 16., 7.0, 3, False, False)],
         [(0, 3 * 1.0, 2.5, 3, True, False),   # its last step is the terminal one
          (1, 2 * 2.0, 2.5, 2, True, False),   # 2 + 4/2, cut short
          (2, 1 * 4.0, 2.5, 1, True, False),
-         (3, 3 * 8.0, 5.5, 3, False, False),  # the next episode
-         (4, 3 * 16., 6.5, 3, False, False)],
-        [(0, 3 * 1.0, 2.5, 3, False, False),  # ends one step before the cut
+         (3, 3 * 8.0, 6.0, 3, False, False),  # the next episode
+         (4, 3 * 16., 7.0, 3, False, False)],
+        [(0, 3 * 1.0, 3.0, 3, False, False),  # ends one step before the cut
          (1, 3 * 2.0, 3.5, 3, False, True),
          (2, 2 * 4.0, 3.5, 2, False, True),
          (3, 1 * 8.0, 3.5, 1, False, True),
-         (4, 3 * 16., 6.5, 3, False, False)],
+         (4, 3 * 16., 7.0, 3, False, False)],
     ]  # fmt: skip
-    held = content(episode(3, 8, terminated=[(1, 2)], truncated=[(2, 3)]), 3, sizes)
-    rows = [
-        tuple(float(value.flatten()[0]) for value in values)
-        for values in zip(
-            *(held[key] for key in ("counters", "nodes", ("next", "reward"), ("next", "nodes"), "steps_to_next_obs")),
-            *(held["next", key] for key in ("terminated", "truncated", "done")),
-            strict=True,
-        )
+    content = held(filled(storage, episodes(flags(3, 8, (1, 2)), flags(3, 8, (2, 3))), sizes, 3))
+    keys = ("counters", "nodes", ("next", "reward"), ("next", "nodes"), "steps_to_next_obs")
+    columns = [content[key] for key in (*keys, *ENDS)]
+    found = [tuple(float(column[i].flatten()[0]) for column in columns) for i in range(len(content))]
+    assert found == [
+        (robot, *row[:4], row[4] or row[5], *row[4:]) for robot, rows in enumerate(expected) for row in rows
     ]
-    assert rows == [(robot, *row, row[4] or row[5]) for robot, rows_ in enumerate(expected) for row in rows_]
-    assert torch.equal(held["action"], -held["nodes"].flatten(1))
+    assert torch.equal(content["action"], -content["nodes"][:, 0, :1])
 
 
+@pytest.mark.parametrize("storage", STORAGES)
 @given(
-    st.integers(1, 5),
-    st.lists(st.integers(1, 9), min_size=1, max_size=12),
-    st.floats(0.0, 0.5),
-    st.integers(0, 2**31),
+    n=st.integers(1, 5),
+    sizes=st.lists(st.integers(1, 9), min_size=1, max_size=12),
+    share=st.floats(0.0, 0.3),
+    seed=st.integers(0, 2**31),
 )
-def test_windows_of_any_length_in_chunks_of_any_size(n, sizes, share, seed):
+def test_windows_of_any_length_in_chunks_of_any_size(storage, n, sizes, share, seed):
     torch.manual_seed(seed)
-    collected = episode(2, sum(sizes))
-    for name in ("terminated", "truncated"):
-        collected["next", name] = torch.rand(2, sum(sizes), 1) < share / 2
-    collected["next", "done"] = collected["next", "terminated"] | collected["next", "truncated"]
-    collected["next", "reward"] = torch.randn(2, sum(sizes), 1)
-    replay = Replay(ReplaySettings(capacity=1000, batch_size=1, n_step=n, storage="stacked"), GAMMA)
-    for chunk in collected.split(sizes, dim=1):
-        replay.extend(chunk.clone())
-    ready = sum(sizes) - n if n > 1 else sum(sizes)
-    assert len(replay) == 2 * max(ready, 0)
-    if ready <= 0:
-        return
-    for step in replay.buffer[:]:
-        robot, begin = int(step["counters"]), int(step["nodes"])
+    shape = (2, sum(sizes))
+    collected = episodes(torch.rand(shape) < share, torch.rand(shape) < share)
+    collected["next", "reward"] = torch.randn(*shape, 1)
+    replay = filled(storage, collected, sizes, n)
+    # The stacked buffer waits for the step after a window too, but for single steps.
+    ready = max(0, sum(sizes) - (0 if storage == "stacked" and n == 1 else n))
+    assert replay.buffer.ready * (2 if storage == "frames" else 1) == 2 * ready
+    for step in held(replay) if ready else []:
+        robot, begin = int(step["counters"]), int(step["nodes"][0, 0])
         reward, end, following = 0.0, begin, collected["next"][robot]
         for k in range(n):
             end = begin + k
@@ -127,58 +133,64 @@ def test_windows_of_any_length_in_chunks_of_any_size(n, sizes, share, seed):
         assert n == 1 or int(step["steps_to_next_obs"]) == end - begin + 1
 
 
-def test_a_collector_may_deliver_one_step_at_a_time(robot, graph):
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_collector_may_deliver_one_step_at_a_time(robot, graph, storage):
     """What TorchRL's collector delivers is not overwritten by what it delivers next."""
 
     def collect(steps):
         torch.manual_seed(0)
         env = build_env(robot, EnvSettings(num_envs=4, threads=1, endings=Endings(time_limit=9)), Reward(), seed=0)
         explorer = Explorer(make_actor(graph), robot, 4, ExplorationSettings(warmup_frames=40))
-        replay = Replay(ReplaySettings(capacity=1000, batch_size=4, n_step=3, storage="stacked"), 0.9)
+        replay = Replay(ReplaySettings(capacity=1000, batch_size=4, n_step=3, storage=storage), 0.9, history=5)
         collector = Collector(env, explorer, frames_per_batch=4 * steps, total_frames=4 * 24)
         for collected in collector:
             replay.extend(collected)
         collector.shutdown()
-        held = replay.buffer[:].exclude("index")
-        return held[sorted(range(len(held)), key=lambda i: held["nodes"][i].flatten().tolist())]
+        return held(replay)
 
     one, many = collect(1), collect(8)
-    assert len(one) == 4 * (24 - 3)
+    assert len(one) == 4 * (24 - 3) and one["next", "truncated"].any()
     assert set(one.keys(True, True)) == set(many.keys(True, True))
     for key in one.keys(True, True):
         assert torch.equal(one[key], many[key]), key
-    assert one["next", "truncated"].any()
 
 
 # What is kept.
 
 
 @pytest.mark.parametrize("n_step", [1, 3])
-def test_keeps_what_updates_read_and_nothing_else(n_step):
-    held = content(episode(2, 6), n_step, [6])
+@pytest.mark.parametrize("storage", STORAGES)
+def test_keeps_what_updates_read_and_nothing_else(storage, n_step):
+    content = held(filled(storage, episodes(flags(2, 6), flags(2, 6)), [6], n_step))
     extra = {"steps_to_next_obs"} if n_step > 1 else set()
-    assert set(held.keys(True, True)) - {"index"} == {*KEPT, *ENDS, *extra}
+    assert set(content.keys(True, True)) == {*KEPT, *ENDS, *extra}
 
 
-def test_the_oldest_leave_first():
-    replay = Replay(ReplaySettings(capacity=5, batch_size=3, storage="stacked"), GAMMA)
-    steps = episode(1, 8)
+@pytest.mark.parametrize("storage, newest", [("stacked", [3, 4, 5, 6, 7]), ("frames", [3, 4, 5, 6])])
+def test_the_oldest_leave_first(storage, newest):
+    steps = episodes(flags(1, 8), flags(1, 8))
     for t in range(8):
-        replay.extend(steps[:, t : t + 1])
+        replay = filled(storage, steps[:, : t + 1], [1] * (t + 1), 1, capacity=5)
         assert len(replay) == min(t + 1, 5)
-    assert sorted(replay.buffer[:]["nodes"].flatten().tolist()) == [3, 4, 5, 6, 7]
-    assert {float(v) for _ in range(40) for v in replay.sample()["nodes"]} == {3, 4, 5, 6, 7}
+    # Of frames, the newest has no next one yet.
+    assert {float(replay.sample()["nodes"][0, 0, 0]) for _ in range(100)} == set(newest)
 
 
-def test_batch_size():
-    replay = Replay(ReplaySettings(capacity=50, batch_size=17, storage="stacked"), GAMMA)
-    replay.extend(episode(2, 3))
-    assert replay.sample().batch_size == (17,)
+@pytest.mark.parametrize("storage", STORAGES)
+def test_batches_have_their_size_as_soon_as_there_is_enough(storage):
+    replay = Replay(ReplaySettings(capacity=50, batch_size=6, storage=storage), GAMMA, 1)
+    steps = episodes(flags(2, 5), flags(2, 5))
+    ready = []
+    for t in range(5):
+        replay.extend(steps[:, t : t + 1])
+        ready.append(replay.ready)
+    assert ready == [False, False, storage == "stacked", True, True]
+    assert replay.sample().batch_size == (6,)
 
 
 @pytest.mark.parametrize("key, value", [("capacity", 0), ("batch_size", 0), ("n_step", 0), ("batch_size", 2_000_000)])
 def test_settings_out_of_range(key, value):
-    with pytest.raises(ConfigError, match=rf"replay\.{key}.*{value}"):
+    with pytest.raises(ConfigError, match=rf"^{key} must .*{value}"):
         ReplaySettings(**{key: value})
 
 
@@ -281,7 +293,8 @@ def test_only_the_second_half_of_a_batch_is_mirrored(biped, size):
 
 def test_sampling_mirrors_copies_and_not_what_is_remembered(biped):
     mirror, seen = Mirror(biped, HISTORY), transitions(1)
-    replay = Replay(ReplaySettings(capacity=10, batch_size=4, mirror=True, storage="stacked"), GAMMA, mirror)
+    settings = ReplaySettings(capacity=10, batch_size=4, mirror=True, storage="stacked")
+    replay = Replay(settings, GAMMA, HISTORY, mirror)
     replay.extend(seen[:, None])
     for _ in range(3):
         nodes = replay.sample()["nodes"]

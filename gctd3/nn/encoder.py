@@ -40,7 +40,7 @@ class GraphEncoder(nn.Module):
         batch = nodes.shape[:-2]
         x = nodes.reshape(-1, *nodes.shape[-2:]).transpose(0, 1)
         for layer in self.layers:
-            x = torch.relu(cast(GraphConv, layer).node_first(x))
+            x = torch.relu_(cast(GraphConv, layer).node_first(x))
         x = x.transpose(-3, -2).flatten(-2)
         return x if x.ndim == 3 else x.reshape(*batch, self.out_features)
 

@@ -50,5 +50,5 @@ class Network:
             layers.append(Linear(size, following))
             if self.norm == "layer":
                 layers.append(LayerNorm(following))
-            layers.append(nn.ReLU())
+            layers.append(nn.ReLU(inplace=True))
         return nn.Sequential(*layers, Linear(sizes[-1], out_features))

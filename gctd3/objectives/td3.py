@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
 from torchrl.objectives.utils import distance_loss
 
-from gctd3.objectives.stacked import stacked_values
+from gctd3.objectives.stacked import Networks, values
 
 
 class TD3Loss(TorchRLTD3Loss):
@@ -19,41 +21,48 @@ class TD3Loss(TorchRLTD3Loss):
     are taken from the whole batch, where TorchRL passes on only what the actor reads.
     """
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - TorchRL's
+        super().__init__(*args, **kwargs)
+        self.__dict__["_networks"] = Networks()
+
+    def _apply(self, *args: Any, **kwargs: Any) -> TD3Loss:  # noqa: ANN401 - PyTorch's
+        self._networks.clear()
+        return super()._apply(*args, **kwargs)
+
     def _set_in_keys(self) -> None:
         super()._set_in_keys()
         following = [("next", key) for key in self.qvalue_network.in_keys if key != self.tensor_keys.action]
         self._in_keys: list[object] = list({*self._in_keys, *following})
 
-    def _act(self, params: TensorDictBase, inputs: TensorDictBase) -> TensorDictBase:
-        """``inputs`` (copied) with the actor's action in it."""
-        with params.to_module(self.actor_network, preserve_module_state=False):
-            return self.actor_network(inputs.copy())
-
     def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Minus the first critic's value of the actor's action (equation below 11 of the paper)."""
-        acted = self._act(self.actor_network_params, tensordict)
-        value = stacked_values(self.qvalue_network, self._cached_detach_qvalue_network_params[0], acted)
+        actor = self._networks.get("actor", self.actor_network, lambda: self.actor_network_params)
+        critic = self._networks.get("first critic", self.qvalue_network, lambda: self.qvalue_network_params.data[0])
+        value = values(critic, actor(tensordict.copy()))
         loss = self._reduce_loss(-value, tensordict=tensordict, weights=self._maybe_get_priority_weight(tensordict))
         return loss, {"state_action_value_actor": value.detach()}
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Both critics' distance from the target of equation 9."""
-        action = tensordict.get(self.tensor_keys.action)
+        networks, keys = self._networks, self.tensor_keys
+        action = tensordict.get(keys.action)
         noise = (torch.randn_like(action) * self.policy_noise).clamp(-self.noise_clip, self.noise_clip)
         with torch.no_grad():
-            following = self._act(self.target_actor_network_params, tensordict.get("next"))
-            next_action = (following.get(self.tensor_keys.action) + noise).clamp(self.min_action, self.max_action)
-            following.set(self.tensor_keys.action, next_action)
-            next_value = stacked_values(self.qvalue_network, self.target_qvalue_network_params, following).min(0)[0]
-            following.set(self.tensor_keys.state_action_value, next_value.unsqueeze(-1))
+            actor = networks.get("target actor", self.actor_network, lambda: self.target_actor_network_params)
+            critics = networks.get("target critics", self.qvalue_network, lambda: self.target_qvalue_network_params)
+            following = actor(tensordict.get("next").copy())
+            following.set(keys.action, (following.get(keys.action) + noise).clamp(self.min_action, self.max_action))
+            next_value = values(critics, following).min(0)[0]
+            following.set(keys.state_action_value, next_value.unsqueeze(-1))
             target = self.value_estimator.value_estimate(tensordict.copy().set("next", following)).squeeze(-1)
 
-        values = stacked_values(self.qvalue_network, self.qvalue_network_params, tensordict)
-        loss = distance_loss(values, target.expand_as(values), loss_function=self.loss_function).sum(0)
+        critics = networks.get("critics", self.qvalue_network, lambda: self.qvalue_network_params)
+        value = values(critics, tensordict)
+        loss = distance_loss(value, target.expand_as(value), loss_function=self.loss_function).sum(0)
         loss = self._reduce_loss(loss, tensordict=tensordict, weights=self._maybe_get_priority_weight(tensordict))
         return loss, {
-            "td_error": (values.detach() - target).pow(2),
+            "td_error": (value.detach() - target).pow(2),
             "next_state_value": next_value,
-            "pred_value": values.detach(),
+            "pred_value": value.detach(),
             "target_value": target,
         }
