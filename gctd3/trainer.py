@@ -69,6 +69,8 @@ class Trainer:
             frames_per_batch=batch_frames,
             total_frames=settings.total_frames // batch_frames * batch_frames,
         )
+        # The collector tries the policy once on made-up data; that was no frame.
+        self.explorer.frames.zero_()
         began, frames, episodes, in_a_row = time.monotonic(), 0, 0, 0
         next_evaluation = max(settings.evaluation.every, settings.exploration.warmup_frames)
         with tqdm(

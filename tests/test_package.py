@@ -16,7 +16,7 @@ ROOT = Path(gctd3.__file__).parent
 # a checkpoint keeps them, the trainer does all of it and the commands call it. A new module gets a place here.
 STAGES = [
     "errors",
-    "robot",
+    "mjcf robot",
     "graph",
     "envs.gait envs.simulation envs.batched envs.dmc envs.gym envs.factory envs",
     "nn.layers nn.graph_conv nn.encoder nn.network nn.actor nn.critic nn",

@@ -1,30 +1,20 @@
-"""From the command line to what a run leaves behind, and what is said when the command line is wrong."""
+"""From the command line to what a run leaves behind."""
 
-import copy
-import csv
-import importlib
 import json
-import logging
 import math
-import re
-import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 import torch
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
+from running import Recorded, command, process, rows, tiny, train
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import gctd3
-from gctd3 import trainer as trainer_module
 from gctd3.checkpoint import Checkpoints, load_settings
 from gctd3.settings import build
 from gctd3.train_settings import COLUMNS, StopWhen, TrainSettings
-from gctd3.trainer import Trainer
 
 PROMISED = (
     "frames",
@@ -36,72 +26,6 @@ PROMISED = (
     "distance_mean",
     "success_rate",
 )
-# Four robots for 60 steps, the first 20 to warm up.
-TINY = {
-    "env.num_envs": 4,
-    "env.threads": 1,
-    "threads": 1,
-    "logger": "none",
-    "total_frames": 240,
-    "exploration.warmup_frames": 80,
-    "updates": 2,
-    "evaluation.every": 80,
-    "evaluation.episodes": 2,
-    "replay.batch_size": 16,
-    "replay.capacity": 1000,
-    "network.hidden": "[16,16]",
-}
-
-
-class Recorded(Trainer):
-    """A trainer that keeps a copy of every policy that it evaluated, by frames, for the test to look at."""
-
-    last = None
-
-    def __init__(self, settings, directory):
-        super().__init__(settings, directory)
-        self.policies = {}
-        Recorded.last = self
-
-    def _evaluate(self, frames, wall):
-        self.policies[frames] = copy.deepcopy(self.algorithm.policy())
-        return super()._evaluate(frames, wall)
-
-
-def command(name, *arguments):
-    """``python -m gctd3.NAME ARGUMENTS`` in this process; its exit code."""
-    root, state = logging.getLogger(), torch.random.get_rng_state()
-    handlers, level = list(root.handlers), root.level
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", [f"gctd3.{name}", *map(str, arguments)])
-        patch.setattr(trainer_module, "Trainer", Recorded)
-        try:
-            importlib.import_module(f"gctd3.{name}").main()
-        except SystemExit as end:
-            return end.code
-        finally:  # Hydra sets logging up for the process
-            root.handlers[:], root.level = handlers, level
-            torch.random.set_rng_state(state)
-    return 0
-
-
-def process(name, *arguments):
-    """The same in a process of its own."""
-    return subprocess.run([sys.executable, "-m", f"gctd3.{name}", *arguments], capture_output=True, text=True)
-
-
-def tiny(directory, *overrides, without=()):
-    return [f"{k}={v}" for k, v in TINY.items() if k not in without] + [f"hydra.run.dir={directory}", *overrides]
-
-
-def train(directory, *overrides, without=()):
-    assert command("train", *tiny(directory, *overrides, without=without)) == 0
-    return directory
-
-
-def rows(run, drop=()):
-    with (run / "progress.csv").open(encoding="utf-8") as file:
-        return [{k: v for k, v in row.items() if k not in drop} for row in csv.DictReader(file)]
 
 
 @pytest.fixture(scope="module")
@@ -283,151 +207,3 @@ def test_the_papers_experiment_is_table_4(tmp_path):
     few = ["exploration.warmup_frames=20", "evaluation.every=10_000", "total_episodes=3"]
     (row,) = rows(train(tmp_path / "run", "experiment=paper", *few, without=ours))
     assert 0 <= int(row["updates"]) - (int(row["frames"]) - 20) <= 2  # one a step, past the warm-up
-
-
-# What is said when something is wrong.
-
-
-def answer(capsys, name, *arguments):
-    """The one message on stderr of a command that refuses."""
-    capsys.readouterr()
-    assert command(name, *arguments) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and error.count("error: ") == 1 and "Traceback" not in error
-    return error
-
-
-def assert_untrained(directory):
-    assert not [path for path in directory.rglob("*") if path.name in ("progress.csv", "checkpoints")]
-
-
-WRONG = {
-    "algo=ppo": ["'algo/ppo'", "ddpg", "gctd3", "sac", "td3"],
-    "experiment=papr": ["'experiment/papr'", "paper"],
-    "algo.learning_rat=1": ["'algo.learning_rat'", "Did you mean 'algo.learning_rate'?", "algo.gamma"],
-    "algo=sac algo.alph=0.1": ["'algo.alph'", "Did you mean 'algo.alpha'?"],
-    "total_frame=9": ["'total_frame'", "Did you mean 'total_frames'?"],
-    "+algo.momentum=0.9": ["'algo.momentum'", "Accepted: learning_rate"],
-    "replay.batch_size=many": ["replay.batch_size", "a whole number", "'many'"],
-    "replay.batch_size=": ["replay.batch_size", "a whole number", "''"],
-    "algo.average_policy=often": ["algo.average_policy", "true or false", "'often'"],
-    "env.num_envs=-3": ["env.num_envs", "at least 1", "-3"],
-    "env.num_envs=0": ["env.num_envs", "at least 1", "0"],
-    "replay.capacity=0": ["replay.capacity", "at least 1", "0"],
-    "network.hidden=[64,0]": ["network.hidden", "at least 1", "[64, 0]"],
-    "evaluation.episodes=0": ["evaluation.episodes", "at least 1", "0"],
-    "total_frames=-1": ["total_frames", "at least", "-1"],
-    "env.control_dt=0.013": ["control_dt", "0.005", "0.013"],
-    "robot.graph=ring": ["robot.graph", "tree, authors, edgeless, complete, random", "'ring'"],
-    "robot.name=quadruped": ["'quadruped'", "biped", ".xml"],
-    "robot.name=nowhere.xml": ["nowhere.xml"],
-    "seed=[": ["seed=["],
-}
-
-
-@pytest.mark.parametrize("arguments", WRONG)
-def test_a_wrong_command_line_is_answered(capsys, tmp_path, arguments):
-    error = answer(capsys, "train", *tiny(tmp_path / "run", *arguments.split()))
-    assert all(words in error for words in WRONG[arguments]), error
-    assert_untrained(tmp_path)
-
-
-@pytest.mark.parametrize("argument", ["algo=ppo", "env.num_envs=0"])
-def test_a_process_ends_with_2_and_one_message(tmp_path, argument):
-    done = process("train", *tiny(tmp_path / "run", argument))
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: ") and "Traceback" not in done.stderr + done.stdout
-    assert_untrained(tmp_path)
-
-
-MJCF = {
-    "unclosed": ("<mujoco><worldbody></mujoco>", "not an MJCF"),
-    "no actuator": ("", "no actuator"),
-}
-
-
-@pytest.mark.parametrize("case", MJCF)
-def test_an_unusable_mjcf_is_answered(capsys, tmp_path, robot, case):
-    text, said = MJCF[case]
-    file = tmp_path / "my_robot.xml"
-    file.write_text(text or re.sub("<actuator>.*</actuator>", "", robot.path.read_text(), flags=re.DOTALL))
-    error = answer(capsys, "train", *tiny(tmp_path / "run", f"robot.name={file}"))
-    assert str(file) in error and said in error
-    assert_untrained(tmp_path)
-
-
-def test_an_output_that_cannot_be_written_is_answered(capsys, tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    error = answer(capsys, "train", *tiny(tmp_path / "file" / "run"))
-    assert str(tmp_path / "file") in error
-    assert (tmp_path / "file").read_text() == "in the way"
-
-
-# Runs that are none.
-
-
-@pytest.fixture
-def broken(runs, tmp_path):
-    """A copy of a run, to be broken."""
-    return Path(shutil.copytree(runs("gctd3")[0], tmp_path / "broken"))
-
-
-def of_another_version(run):
-    for manifest in run.glob("checkpoints/*/manifest.json"):
-        content = json.loads(manifest.read_text())
-        content["metadata"]["format"] = 99
-        manifest.write_text(json.dumps(content))
-
-
-BREAK = {
-    "no config": (lambda run: (run / ".hydra" / "config.yaml").unlink(), "config.yaml"),
-    "not YAML": (lambda run: (run / ".hydra" / "config.yaml").write_text("a: [1"), "config.yaml"),
-    "another key": (lambda run: re_write(run / ".hydra" / "config.yaml", "steps: 1", "colour: red"), "'colour'"),
-    "no checkpoint": (lambda run: shutil.rmtree(run / "checkpoints"), "No checkpoint"),
-    "another version": (of_another_version, "format 99"),
-    "no tensors": (lambda run: [f.unlink() for f in run.glob("checkpoints/*/components/*/state/*")], "checkpoint-"),
-    "another network": (
-        lambda run: re_write(run / ".hydra" / "config.yaml", "- 16\n    - 16", "- 16\n    - 17"),
-        "checkpoint-",
-    ),
-}
-
-
-def re_write(file, old, new):
-    text = file.read_text()
-    assert old in text or old.replace("    ", "  ") in text, text
-    file.write_text(text.replace(old, new).replace(old.replace("    ", "  "), new.replace("    ", "  ")))
-
-
-@pytest.mark.parametrize("case", BREAK)
-def test_a_run_that_cannot_be_used_is_answered(capsys, broken, case):
-    damage, said = BREAK[case]
-    damage(broken)
-    error = answer(capsys, "evaluate", f"run={broken}", "episodes=1")
-    assert str(broken) in error and said in error
-    assert not (broken / "evaluation.json").exists()
-
-
-@pytest.mark.parametrize("name", ["evaluate", "render"])
-def test_a_run_that_is_not_there_is_answered(capsys, tmp_path, name):
-    assert answer(capsys, name) == "error: run=... is required; --help shows how.\n"
-    assert str(tmp_path / "nowhere") in answer(capsys, name, f"run={tmp_path / 'nowhere'}")
-    assert "not a run" in answer(capsys, name, f"run={tmp_path}")
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    "name, argument, said",
-    [
-        ("evaluate", "episodes=0", "episodes must be at least 1, got 0."),
-        ("evaluate", "threads=0", "threads must be at least 1"),
-        ("evaluate", "seed=-1", "seed must be at least 0, got -1."),
-        ("evaluate", "episode=3", "Did you mean 'episodes'?"),
-        ("render", "width=0", "width must be at least 1, got 0."),
-        ("render", "out=walk.bmp", "out must end in .png or .gif, got 'walk.bmp'."),
-        ("render", "out=nowhere/walk.png", "nowhere"),
-        ("render", "camera=behind", "side, three_quarter"),
-    ],
-)
-def test_a_wrong_setting_of_the_other_commands_is_answered(capsys, runs, name, argument, said):
-    assert said in answer(capsys, name, f"run={runs('gctd3')[0]}", argument)

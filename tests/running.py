@@ -1,0 +1,76 @@
+"""Running the commands in a test: tiny trainings, in this process or in one of their own."""
+
+import copy
+import csv
+import importlib
+import subprocess
+import sys
+
+import pytest
+
+from gctd3 import trainer as trainer_module
+from gctd3.trainer import Trainer
+
+# Four robots for 60 steps, the first 20 to warm up.
+TINY = {
+    "env.num_envs": 4,
+    "env.threads": 1,
+    "threads": 1,
+    "logger": "none",
+    "total_frames": 240,
+    "exploration.warmup_frames": 80,
+    "updates": 2,
+    "evaluation.every": 80,
+    "evaluation.episodes": 2,
+    "replay.batch_size": 16,
+    "replay.capacity": 1000,
+    "network.hidden": "[16,16]",
+}
+
+
+class Recorded(Trainer):
+    """A trainer that keeps a copy of every policy that it evaluated, by frames, for the test to look at."""
+
+    last = None
+
+    def __init__(self, settings, directory):
+        super().__init__(settings, directory)
+        self.policies = {}
+        Recorded.last = self
+
+    def _evaluate(self, frames, wall):
+        self.policies[frames] = copy.deepcopy(self.algorithm.policy())
+        return super()._evaluate(frames, wall)
+
+
+def command(name, *arguments):
+    """``python -m gctd3.NAME ARGUMENTS`` in this process; its exit code."""
+    with pytest.MonkeyPatch.context() as patch:
+        # Hydra's logging would close the streams of the handlers that are there, and absl's has pytest's.
+        quiet = ["hydra/job_logging=none", "hydra/hydra_logging=none"]
+        patch.setattr(sys, "argv", [f"gctd3.{name}", *map(str, arguments), *quiet])
+        patch.setattr(trainer_module, "Trainer", Recorded)
+        try:
+            importlib.import_module(f"gctd3.{name}").main()
+        except SystemExit as end:
+            return end.code
+    return 0
+
+
+def process(name, *arguments):
+    """The same in a process of its own."""
+    return subprocess.run([sys.executable, "-m", f"gctd3.{name}", *arguments], capture_output=True, text=True)
+
+
+def tiny(directory, *overrides, without=()):
+    return [f"{k}={v}" for k, v in TINY.items() if k not in without] + [f"hydra.run.dir={directory}", *overrides]
+
+
+def train(directory, *overrides, without=()):
+    assert command("train", *tiny(directory, *overrides, without=without)) == 0
+    return directory
+
+
+def rows(run, drop=()):
+    with (run / "progress.csv").open(encoding="utf-8") as file:
+        return [{k: v for k, v in row.items() if k not in drop} for row in csv.DictReader(file)]

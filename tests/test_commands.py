@@ -1,0 +1,162 @@
+"""What the commands say when what they are told is wrong: one message that names it, exit code 2, nothing done."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from running import command, process, tiny, train
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return train(tmp_path_factory.mktemp("trained") / "run")
+
+
+def answer(capsys, name, *arguments):
+    """The one message on stderr of a command that refuses."""
+    capsys.readouterr()
+    assert command(name, *arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and error.count("error: ") == 1 and "Traceback" not in error
+    return error
+
+
+def assert_untrained(directory):
+    assert not [path for path in directory.rglob("*") if path.name in ("progress.csv", "checkpoints")]
+
+
+WRONG = {
+    "algo=ppo": ["'algo/ppo'", "ddpg", "gctd3", "sac", "td3"],
+    "experiment=papr": ["'experiment/papr'", "paper"],
+    "algo.learning_rat=1": ["'algo.learning_rat'", "Did you mean 'algo.learning_rate'?", "algo.gamma"],
+    "algo=sac algo.alph=0.1": ["'algo.alph'", "Did you mean 'algo.alpha'?"],
+    "total_frame=9": ["'total_frame'", "Did you mean 'total_frames'?"],
+    "+algo.momentum=0.9": ["'algo.momentum'", "Accepted: learning_rate"],
+    "replay.batch_size=many": ["replay.batch_size", "a whole number", "'many'"],
+    "replay.batch_size=": ["replay.batch_size", "a whole number", "''"],
+    "algo.average_policy=often": ["algo.average_policy", "true or false", "'often'"],
+    "env.num_envs=-3": ["env.num_envs", "at least 1", "-3"],
+    "env.num_envs=0": ["env.num_envs", "at least 1", "0"],
+    "replay.capacity=0": ["replay.capacity", "at least 1", "0"],
+    "network.hidden=[64,0]": ["network.hidden", "at least 1", "[64, 0]"],
+    "evaluation.episodes=0": ["evaluation.episodes", "at least 1", "0"],
+    "total_frames=-1": ["total_frames", "at least", "-1"],
+    "env.control_dt=0.013": ["control_dt", "0.005", "0.013"],
+    "robot.graph=ring": ["robot.graph", "tree, authors, edgeless, complete, random", "'ring'"],
+    "robot.name=quadruped": ["'quadruped'", "biped", ".xml"],
+    "robot.name=nowhere.xml": ["nowhere.xml"],
+    "seed=[": ["seed=["],
+}
+
+
+@pytest.mark.parametrize("arguments", WRONG)
+def test_a_wrong_command_line_is_answered(capsys, tmp_path, arguments):
+    error = answer(capsys, "train", *tiny(tmp_path / "run", *arguments.split()))
+    assert all(words in error for words in WRONG[arguments]), error
+    assert_untrained(tmp_path)
+
+
+@pytest.mark.parametrize("argument", ["algo=ppo", "env.num_envs=0"])
+def test_a_process_ends_with_2_and_one_message(tmp_path, argument):
+    done = process("train", *tiny(tmp_path / "run", argument))
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ") and "Traceback" not in done.stderr + done.stdout
+    assert_untrained(tmp_path)
+
+
+MJCF = {
+    "unclosed": ("<mujoco><worldbody></mujoco>", "not an MJCF"),
+    "no actuator": ("", "no actuator"),
+}
+
+
+@pytest.mark.parametrize("case", MJCF)
+def test_an_unusable_mjcf_is_answered(capsys, tmp_path, robot, case):
+    text, said = MJCF[case]
+    file = tmp_path / "my_robot.xml"
+    file.write_text(text or re.sub("<actuator>.*</actuator>", "", robot.path.read_text(), flags=re.DOTALL))
+    error = answer(capsys, "train", *tiny(tmp_path / "run", f"robot.name={file}"))
+    assert str(file) in error and said in error
+    assert_untrained(tmp_path)
+
+
+def test_an_output_that_cannot_be_written_is_answered(capsys, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    error = answer(capsys, "train", *tiny(tmp_path / "file" / "run"))
+    assert str(tmp_path / "file") in error
+    assert (tmp_path / "file").read_text() == "in the way"
+
+
+# Runs that are none.
+
+
+@pytest.fixture
+def broken(run, tmp_path):
+    """A copy of a run, to be broken."""
+    return Path(shutil.copytree(run, tmp_path / "broken"))
+
+
+def of_another_version(run):
+    for manifest in run.glob("checkpoints/*/manifest.json"):
+        content = json.loads(manifest.read_text())
+        content["metadata"]["format"] = 99
+        manifest.write_text(json.dumps(content))
+
+
+def rewrite(file, old, new):
+    text = file.read_text()
+    assert text.count(old) == 1
+    file.write_text(text.replace(old, new))
+
+
+CONFIG = Path(".hydra") / "config.yaml"
+BREAK = {
+    "no config": (lambda run: (run / CONFIG).unlink(), "config.yaml"),
+    "not YAML": (lambda run: (run / CONFIG).write_text("a: [1"), "config.yaml"),
+    "another key": (lambda run: rewrite(run / CONFIG, "keep_checkpoints:", "colour:"), "'colour'"),
+    "another network": (lambda run: rewrite(run / CONFIG, "norm: layer", "norm: none"), "checkpoint-"),
+    "no checkpoint": (lambda run: shutil.rmtree(run / "checkpoints"), "No checkpoint"),
+    "no tensors": (lambda run: [f.unlink() for f in run.glob("checkpoints/*/components/*/state/*")], "checkpoint-"),
+    "another version": (of_another_version, "format 99"),
+}
+
+
+@pytest.mark.parametrize("case", BREAK)
+def test_a_run_that_cannot_be_used_is_answered(capsys, broken, case):
+    damage, said = BREAK[case]
+    damage(broken)
+    error = answer(capsys, "evaluate", f"run={broken}", "episodes=1")
+    assert str(broken) in error and said in error
+    assert not (broken / "evaluation.json").exists()
+
+
+@pytest.mark.parametrize("name", ["evaluate", "render"])
+def test_a_run_that_is_not_there_is_answered(capsys, tmp_path, name):
+    assert answer(capsys, name) == "error: run=... is required; --help shows how.\n"
+    assert str(tmp_path / "nowhere") in answer(capsys, name, f"run={tmp_path / 'nowhere'}")
+    assert "not a run" in answer(capsys, name, f"run={tmp_path}")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "name, argument, said",
+    [
+        ("evaluate", "episodes=0", "episodes must be at least 1, got 0."),
+        ("evaluate", "threads=0", "threads must be at least 1"),
+        ("evaluate", "seed=-1", "seed must be at least 0, got -1."),
+        ("evaluate", "episode=3", "Did you mean 'episodes'?"),
+        ("render", "width=0", "width must be at least 1, got 0."),
+        ("render", "out=walk.bmp", "out must end in .png or .gif, got 'walk.bmp'."),
+        ("render", "out=nowhere/walk.png", "nowhere"),
+        ("render", "camera=behind", "side, three_quarter"),
+    ],
+)
+def test_a_wrong_setting_of_the_other_commands_is_answered(capsys, run, name, argument, said):
+    assert said in answer(capsys, name, f"run={run}", argument)
