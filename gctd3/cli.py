@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import re
@@ -13,7 +14,7 @@ from pathlib import Path
 import hydra
 from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
-from hydra.errors import HydraException
+from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -43,6 +44,9 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
         hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
+    except BrokenPipeError:
+        # Whoever read the output (`| head`) has had enough; closing stderr keeps Python from complaining at exit.
+        sys.stderr.close()
     except _USER_ERRORS as error:
         _fail(explain(error, config))
 
@@ -66,6 +70,8 @@ def explain(error: Exception, config: str) -> str:
         return str(error)
     if isinstance(error, OSError):
         return f"{error.strerror}: {error.filename}" if error.filename else str(error)
+    if isinstance(error, OverrideParseException):
+        return f"Cannot read {error.override!r}: {str(error).splitlines()[0]}. Expected key=value."
     causes = [str(error), *([str(error.__cause__)] if error.__cause__ else [])]
     text = "\n".join(line for line in "\n".join(causes).splitlines() if line.strip())
     unknown = re.search(r"full_key: (\S+)", text) if "is not in struct" in text else None
@@ -73,16 +79,22 @@ def explain(error: Exception, config: str) -> str:
         return text
     key = unknown.group(1)
     parent = key.rpartition(".")[0]
-    keys = _known_keys(config)
+    keys = _known_keys(config, sys.argv[1:])
     siblings = [k for k in keys if k.rpartition(".")[0] == parent]
     accepted = f" Accepted: {', '.join(siblings)}." if siblings else ""
     return f"Unknown key {key!r}.{suggest(key, keys)}{accepted}"
 
 
-def _known_keys(config: str) -> list[str]:
+def _known_keys(config: str, arguments: list[str]) -> list[str]:
+    """Every key of the configuration, under those of the arguments that are sound by themselves (groups above all)."""
     GlobalHydra.instance().clear()
     with initialize_config_module(CONF, version_base="1.3"):
         composed = compose(config)
+        sound: list[str] = []
+        for argument in arguments:
+            with contextlib.suppress(*_USER_ERRORS):
+                composed = compose(config, [*sound, argument])
+                sound.append(argument)
 
     def walk(node: DictConfig, prefix: str) -> list[str]:
         found = []

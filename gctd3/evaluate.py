@@ -18,7 +18,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from gctd3 import gait_metrics
 from gctd3.cli import command
 from gctd3.envs.factory import build_env
-from gctd3.envs.gait import FEATURES, Reward
+from gctd3.envs.gait import FEATURES
+from gctd3.envs.reward import Reward
 from gctd3.errors import ConfigError
 from gctd3.graph import KinematicGraph
 from gctd3.robot import Robot

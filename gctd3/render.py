@@ -15,7 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from gctd3.cli import command
 from gctd3.envs.dmc import Physics
 from gctd3.envs.factory import EnvSettings, build_env
-from gctd3.envs.gait import Reward
+from gctd3.envs.reward import Reward
 from gctd3.errors import ConfigError, RenderError
 from gctd3.robot import Robot
 from gctd3.settings import build

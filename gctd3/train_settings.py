@@ -9,7 +9,8 @@ from typing import Literal
 
 from gctd3.algorithms.base import AlgorithmSettings, Architecture
 from gctd3.envs.factory import EnvSettings
-from gctd3.envs.gait import FEATURES, Reward, WalkingTask
+from gctd3.envs.gait import FEATURES, WalkingTask
+from gctd3.envs.reward import Reward
 from gctd3.errors import ConfigError
 from gctd3.exploration import ExplorationSettings
 from gctd3.graph import KinematicGraph

@@ -10,7 +10,8 @@ from torchrl.envs.utils import check_env_specs
 
 from gctd3.envs import dmc
 from gctd3.envs.factory import EnvSettings, build_env, make_env
-from gctd3.envs.gait import Endings, Reward, WalkingTask
+from gctd3.envs.gait import WalkingTask
+from gctd3.envs.reward import Endings, Reward
 from gctd3.envs.simulation import Simulation, Start, substeps_of
 from gctd3.errors import ConfigError
 from gctd3.robot import Robot

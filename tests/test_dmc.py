@@ -12,7 +12,8 @@ from torchrl.envs.utils import check_env_specs
 
 from gctd3.envs import dmc
 from gctd3.envs.factory import EnvSettings, build_env, make_env
-from gctd3.envs.gait import Endings, Reward, WalkingTask
+from gctd3.envs.gait import WalkingTask
+from gctd3.envs.reward import Endings, Reward
 from gctd3.envs.simulation import Start
 
 FALL_AT_ONCE = Endings(fall_height=1.0)  # every body is lower than 1 m above standing

@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from torchrl.collectors import Collector
 
 from gctd3.envs.factory import EnvSettings, build_env
-from gctd3.envs.gait import Reward
+from gctd3.envs.reward import Reward
 from gctd3.errors import ConfigError
 from gctd3.exploration import ExplorationSettings, Explorer, Rhythm
 from gctd3.nn import make_actor

@@ -10,7 +10,8 @@ from tensordict import TensorDict
 from torchrl.collectors import Collector
 
 from gctd3.envs.factory import EnvSettings, build_env
-from gctd3.envs.gait import Endings, Reward, WalkingTask
+from gctd3.envs.gait import WalkingTask
+from gctd3.envs.reward import Endings, Reward
 from gctd3.envs.simulation import Simulation
 from gctd3.errors import ConfigError
 from gctd3.exploration import ExplorationSettings, Explorer

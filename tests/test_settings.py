@@ -2,6 +2,7 @@
 
 import copy
 import inspect
+import math
 import re
 from importlib.resources import files
 from pathlib import Path
@@ -13,7 +14,7 @@ from hydra.utils import get_object
 from omegaconf import OmegaConf
 
 from gctd3.algorithms.base import AlgorithmSettings
-from gctd3.envs.gait import Endings, Reward
+from gctd3.envs.reward import Endings, Reward
 from gctd3.envs.simulation import Start
 from gctd3.errors import ConfigError
 from gctd3.settings import build, suggest
@@ -253,6 +254,14 @@ def test_a_value_out_of_range_is_named(default, key):
     message = fails(edited(default, key, BAD[key]))
     assert key in message and str(BAD[key]) in message
     assert re.search(r"must (be|hold)", message)
+
+
+def test_a_number_that_is_none_is_named(default):
+    numbers = [key for key, value in items(default) if type(value) is float and not key.startswith("stop_when")]
+    assert len(numbers) > 40
+    for key in numbers:
+        message = fails(edited(default, key, math.nan))
+        assert message.startswith(key) and "nan" in message
 
 
 def test_both_of_a_pair_are_named(default):

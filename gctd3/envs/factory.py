@@ -16,7 +16,8 @@ from torchrl.envs import (
     TransformedEnv,
 )
 
-from gctd3.envs.gait import Endings, Reward, WalkingTask
+from gctd3.envs.gait import WalkingTask
+from gctd3.envs.reward import Endings, Reward
 from gctd3.envs.simulation import Simulation, Start
 from gctd3.errors import ConfigError
 from gctd3.robot import Robot

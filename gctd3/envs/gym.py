@@ -9,7 +9,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from gctd3.envs.gait import FEATURES, Reward, WalkingTask
+from gctd3.envs.gait import FEATURES, WalkingTask
+from gctd3.envs.reward import Reward
 from gctd3.envs.simulation import Simulation
 from gctd3.errors import ConfigError
 from gctd3.robot import Robot

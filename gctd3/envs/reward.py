@@ -1,0 +1,94 @@
+"""The numbers of the walking task: what its reward weighs and when its episodes end.
+
+Source: Phan Bui et al. 2022, Table 3, and the training script that the paper's authors released; which number has which
+source stands beside it in ``conf/reward/paper.yaml`` and ``conf/env/walk.yaml``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gctd3.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Reward:
+    """Weights of the reward; each is positive for a bonus or a punishment of the size that its name says.
+
+    Attributes:
+        target_velocity: Forward velocity beyond which the bonus no longer grows (m/s).
+        progress: Bonus per metre gained over the last ``progress_steps`` steps (1/m).
+        progress_steps: ``h`` (control steps).
+        height: ``c1``, punishment per metre between body and its target height, in each stacked frame (1/m).
+        height_single: Target height with one foot down (m from standing).
+        height_double: Target height with both feet down (m from standing).
+        frames: Stacked frames over which height and flight are summed.
+        flight: Punishment for each stacked frame with no foot down.
+        living: Punishment for each step.
+        fall: Punishment for falling.
+        long_contact: Punishment for a foot that stays down too long.
+        stuck_hip: Punishment for a hip that stays on one side too long.
+        antiphase: Shaping: punishment per radian of the sum of the hip angles (1/rad).
+        single_support: Shaping: bonus for each step with exactly one foot down.
+        overspeed: Shaping: punishment per m/s above ``overspeed_from`` (s/m).
+        overspeed_from: Forward velocity from which ``overspeed`` counts (m/s).
+        air_time: Shaping: bonus at a foot's touchdown per second that it was longer in the air than
+            ``air_time_target``, a punishment if it was shorter (1/s); ``feet_air_time`` of Rudin et al. 2022
+            (arXiv:2109.11978).
+        air_time_target: Time in the air that earns nothing (s).
+        air_time_most: Time in the air beyond which the bonus no longer grows (s).
+    """
+
+    target_velocity: float = 0.9
+    progress: float = 0.2
+    progress_steps: int = 5
+    height: float = 0.005
+    height_single: float = -0.010
+    height_double: float = -0.025
+    frames: int = 5
+    flight: float = 0.01
+    living: float = 0.1
+    fall: float = 10.0
+    long_contact: float = 1.0
+    stuck_hip: float = 0.5
+    antiphase: float = 0.0
+    single_support: float = 0.0
+    overspeed: float = 0.0
+    overspeed_from: float = 1.2
+    air_time: float = 0.0
+    air_time_target: float = 0.25
+    air_time_most: float = 0.35
+
+    def __post_init__(self) -> None:
+        _require_at_least(self, 1, "progress_steps", "frames")
+
+
+@dataclass(frozen=True)
+class Endings:
+    """When an episode ends. The first three terminate it, the last two truncate it (its value is bootstrapped).
+
+    Attributes:
+        fall_height: Body height below which the robot has fallen (m from standing).
+        contact_steps: Steps that a foot may stay down; ``None`` for any number.
+        hip_steps: Steps that a hip's angle may keep its sign; ``None`` for any number.
+        finish: Distance at which the episode is won (m).
+        time_limit: Steps after which it is cut off.
+    """
+
+    fall_height: float = -0.1
+    contact_steps: int | None = 40
+    hip_steps: int | None = 50
+    finish: float = 15.0
+    time_limit: int = 1600
+
+    def __post_init__(self) -> None:
+        _require_at_least(self, 1, "contact_steps", "hip_steps", "time_limit")
+        if not self.finish > 0:
+            raise ConfigError(f"finish must be a distance above 0 m, got {self.finish}.")
+
+
+def _require_at_least(settings: object, least: int, *names: str) -> None:
+    for name in names:
+        value = getattr(settings, name)
+        if value is not None and value < least:
+            raise ConfigError(f"{name} must be at least {least}, got {value}.")
