@@ -47,8 +47,10 @@ def report(name: str, figures: dict[str, object], out: str) -> None:
     """Print the provenance, and write everything as JSON if ``out`` names a file."""
     describe = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
     commit = subprocess.run(describe, capture_output=True, text=True, check=False)
+    # Where files went on this machine is nobody's business.
+    arguments = [argument for argument in sys.argv[1:] if "=/" not in argument]
     full = {
-        "command": f"python benchmarks/{name}.py {' '.join(sys.argv[1:])}".strip(),
+        "command": " ".join(["python", f"benchmarks/{name}.py", *arguments]),
         "commit": commit.stdout.strip() or "unknown",
         "machine": f"{os.cpu_count()} CPU cores, {platform.machine()}, Python {platform.python_version()}",
         **figures,

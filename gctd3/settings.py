@@ -1,13 +1,15 @@
 """From YAML to typed settings: one pass that checks every key and value before any work starts.
 
-A YAML mapping with a ``_target_`` becomes a call of that target; its keys must be the target's parameters and their
-values of the annotated types. The targets check ranges themselves.
+A YAML mapping with a ``_target_`` becomes an instance of that dataclass; its keys must be the dataclass's fields and
+their values of the annotated types. The dataclasses check ranges themselves.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import inspect
+import math
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -51,8 +53,9 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
         function = get_object(target)
     except (HydraException, ImportError, ValueError, AttributeError) as error:
         raise ConfigError(f"{where}: _target_ {target!r} cannot be imported: {error}") from error
-    if not callable(function):
-        raise ConfigError(f"{where}: _target_ {target!r} is not a class or function.")
+    # Nothing else is called, so that reading somebody's configuration cannot run a program.
+    if not dataclasses.is_dataclass(function) or not isinstance(function, type):
+        raise ConfigError(f"{where}: _target_ {target!r} is not a dataclass of settings.")
     parameters = inspect.signature(function).parameters
     hints = _hints(function)
     for key, value in arguments.items():
@@ -82,7 +85,7 @@ def suggest(key: str, known: Iterable[str]) -> str:
 
 
 def _hints(function: Callable[..., Any]) -> dict[str, Any]:
-    return typing.get_type_hints(function.__init__ if inspect.isclass(function) else function)
+    return typing.get_type_hints(function)
 
 
 def _is_float(hint: Any) -> bool:  # noqa: ANN401
@@ -100,7 +103,7 @@ def _fits(value: Any, hint: Any) -> bool:  # noqa: ANN401
     if hint in (None, type(None)):
         return value is None
     if hint is float:
-        return isinstance(value, (int, float)) and not isinstance(value, bool)
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
     if hint is int:
         return isinstance(value, int) and not isinstance(value, bool)
     if origin is not None and issubclass(origin, Mapping):
@@ -122,5 +125,5 @@ def _describe(hint: Any) -> str:  # noqa: ANN401
         return f"a mapping to {_describe(inner[1])}"
     if origin is not None and issubclass(origin, Sequence):
         return f"a list of {_describe(inner[0])}"
-    names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+    names = {int: "a whole number", float: "a finite number", bool: "true or false", str: "a text"}
     return names.get(hint, f"a {getattr(hint, '__name__', hint)} (a mapping with its _target_)")

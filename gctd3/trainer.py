@@ -18,11 +18,13 @@ from tqdm import tqdm
 
 from gctd3.checkpoint import Checkpoints
 from gctd3.envs.factory import build_env
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, RunError
 from gctd3.evaluate import evaluate
 from gctd3.exploration import Explorer
 from gctd3.replay import Mirror, Replay
 from gctd3.train_settings import COLUMNS, TrainSettings
+
+PROGRESS = "progress.csv"
 
 
 class Trainer:
@@ -31,9 +33,14 @@ class Trainer:
     Args:
         settings: What to do.
         directory: Where to write.
+
+    Raises:
+        RunError: If the directory holds a run already.
     """
 
     def __init__(self, settings: TrainSettings, directory: Path) -> None:
+        if (directory / PROGRESS).exists():
+            raise RunError(f"{directory} holds a run already: choose another hydra.run.dir.")
         self.settings, self.directory = settings, directory
         # Its notices of every storage and transform would break into the progress bar.
         torchrl_logger.setLevel(logging.WARNING)
@@ -52,7 +59,6 @@ class Trainer:
         self.evaluation_env = build_env(self.robot, judged, settings.evaluation.reward, settings.evaluation.seed)
         self.checkpoints = Checkpoints(directory, settings.keep_checkpoints)
         self.logger = make_logger(settings.logger, directory)
-        self.progress: list[dict[str, float]] = []
         self.best: dict[str, float] | None = None
 
     def run(self) -> dict[str, float]:
@@ -126,7 +132,7 @@ class Trainer:
         return metrics
 
     def _write_row(self, metrics: Mapping[str, float]) -> None:
-        file = self.directory / "progress.csv"
+        file = self.directory / PROGRESS
         new = not file.exists()
         with file.open("a", newline="", encoding="utf-8") as stream:
             writer = csv.DictWriter(stream, COLUMNS, extrasaction="ignore", restval="")

@@ -6,6 +6,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from robots import opposite_axes
 from tensordict import TensorDict
 from torchrl.collectors import Collector
 
@@ -17,7 +18,6 @@ from gctd3.errors import ConfigError
 from gctd3.exploration import ExplorationSettings, Explorer
 from gctd3.nn import make_actor
 from gctd3.replay import ENDS, KEPT, Mirror, Replay, ReplaySettings
-from gctd3.robot import Robot
 
 STORAGES = ("frames", "stacked")
 GAMMA = 0.5
@@ -202,18 +202,9 @@ HISTORY = 3
 
 @pytest.fixture(scope="module", params=["biped", "opposite axes"])
 def biped(request, robot, tmp_path_factory):
-    """The biped, and the same robot with the left joints' axes turned round: equal motions have opposite angles."""
     if request.param == "biped":
         return robot
-    text = robot.path.read_text()
-    for joint, limits in (("hip", "-0.7854 0.7854"), ("knee", "-0.0012 1.3962"), ("ankle", "-0.7854 0.7854")):
-        for tag, new in (("joint", f'axis="0 1 0" range="{limits}"'), ("position", f'ctrlrange="{limits}"')):
-            old = f'<{tag} name="{joint}_left" class="{joint}"'
-            assert old in text
-            text = text.replace(old, f"{old} {new}")
-    path = tmp_path_factory.mktemp("robot") / "opposite.xml"
-    path.write_text(text)
-    return Robot.from_mjcf(path)
+    return opposite_axes(robot, tmp_path_factory.mktemp("robot"))
 
 
 def mirrored_pair(robot):
