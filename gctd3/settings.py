@@ -125,5 +125,5 @@ def _describe(hint: Any) -> str:  # noqa: ANN401
         return f"a mapping to {_describe(inner[1])}"
     if origin is not None and issubclass(origin, Sequence):
         return f"a list of {_describe(inner[0])}"
-    names = {int: "a whole number", float: "a finite number", bool: "true or false", str: "a text"}
+    names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
     return names.get(hint, f"a {getattr(hint, '__name__', hint)} (a mapping with its _target_)")
