@@ -23,7 +23,7 @@ from gctd3.settings import suggest
 
 CONF = "gctd3.conf"
 USAGE_ERROR = 2
-_USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError)
+_USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError)
 
 
 def command(config: str, task: Callable[[DictConfig], None]) -> None:
@@ -49,6 +49,11 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
         sys.stderr.close()
     except _USER_ERRORS as error:
         _fail(explain(error, config))
+    except (TypeError, ValueError) as error:
+        # Hydra's own, of a group given a value that is no option; what the task raises is not for here.
+        if GlobalHydra.instance().is_initialized():
+            raise
+        _fail(f"The arguments cannot be combined: {error}")
 
 
 def _guarded(task: Callable[[DictConfig], None], config: str) -> Callable[[DictConfig], None]:
@@ -68,6 +73,8 @@ def explain(error: Exception, config: str) -> str:
     """What an error says, in a line or two; for an unknown key with the nearest known one."""
     if isinstance(error, GCTD3Error):
         return str(error)
+    if isinstance(error, MemoryError):
+        return f"Not enough memory ({error}): lower replay.capacity, env.num_envs or the number of episodes."
     if isinstance(error, OSError):
         return f"{error.strerror}: {error.filename}" if error.filename else str(error)
     if isinstance(error, OverrideParseException):

@@ -21,3 +21,9 @@ class RunError(GCTD3Error, ValueError):
 
 class RenderError(GCTD3Error, RuntimeError):
     """Nothing can be drawn here."""
+
+
+def check_seed(name: str, seed: int) -> None:
+    """Raise a :class:`ConfigError` unless ``seed`` fits every generator (NumPy's legacy one takes 32 bits)."""
+    if not 0 <= seed < 2**32:
+        raise ConfigError(f"{name} must be at least 0 and below 2^32, got {seed}.")

@@ -20,7 +20,7 @@ from gctd3.cli import command
 from gctd3.envs.factory import build_env
 from gctd3.envs.gait import FEATURES
 from gctd3.envs.reward import Reward
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, check_seed
 from gctd3.graph import KinematicGraph
 from gctd3.robot import Robot
 from gctd3.settings import build
@@ -39,7 +39,7 @@ class Episode:
         reward: Shape ``[T]``.
         position: Distance walked, shape ``[T]`` (m).
         height: Body height from standing, shape ``[T]`` (m).
-        hips: Hip angles, one column per foot, shape ``[T, feet]`` (rad).
+        hips: Hip angles in the sense of the first leg's, one column per foot, shape ``[T, feet]`` (rad).
         feet_down: Contacts, shape ``[T, feet]``.
         success: Whether it reached the finish.
     """
@@ -146,7 +146,7 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int
                 reward=reward[:steps, i].astype(np.float64),
                 position=position[:steps, i],
                 height=mine[:, 0, 0],
-                hips=mine[:, hips, 0],
+                hips=mine[:, hips, 0] * robot.hip_signs,
                 feet_down=mine[:, -1] > 0.5,
                 success=bool(success[:steps, i].any()),
             )
@@ -175,8 +175,7 @@ class EvaluateSettings:
     def __post_init__(self) -> None:
         if self.episodes < 1:
             raise ConfigError(f"episodes must be at least 1, got {self.episodes}.")
-        if self.seed < 0:
-            raise ConfigError(f"seed must be at least 0, got {self.seed}.")
+        check_seed("seed", self.seed)
 
 
 def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:

@@ -52,8 +52,11 @@ class FrameBuffer:
                 f"replay.capacity must be at least {least * self.robots} for {self.robots} robots, "
                 f"a history of {self.history} and {self.n_step} steps, got {self.capacity}."
             )
-        for key, values in step.items():
-            self._ring[key] = torch.zeros((self.rows, *values.shape), dtype=values.dtype)
+        try:
+            for key, values in step.items():
+                self._ring[key] = torch.zeros((self.rows, *values.shape), dtype=values.dtype)
+        except RuntimeError as error:
+            raise MemoryError(f"replay.capacity={self.capacity}") from error
         self._ring["last"] = torch.full((self.rows, self.robots), -1, dtype=torch.int32)
         for key in self.KEYS:
             self._last[key] = self._ring[key].new_zeros((0, *self._ring[key].shape[2:]))

@@ -16,7 +16,7 @@ from gctd3.cli import command
 from gctd3.envs.dmc import Physics
 from gctd3.envs.factory import EnvSettings, build_env
 from gctd3.envs.reward import Reward
-from gctd3.errors import ConfigError, RenderError
+from gctd3.errors import ConfigError, RenderError, check_seed
 from gctd3.robot import Robot
 from gctd3.settings import build
 
@@ -55,6 +55,7 @@ class RenderSettings:
         for name in ("width", "height", "columns", "rows", "every"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        check_seed("seed", self.seed)
         if not self.speed > 0:
             raise ConfigError(f"speed must be above 0, got {self.speed}.")
         if Path(self.out).suffix not in (".png", ".gif"):

@@ -142,6 +142,11 @@ class Robot:
             chains.append(tuple(reversed(chain)))
         return tuple(chains)
 
+    @cached_property
+    def hip_signs(self) -> np.ndarray:
+        """Factors that make every leg's hip angle count in the first leg's sense. Shape ``[feet]``."""
+        return np.array([1.0, *(self.mirror_sign(leg[0].name) for leg in self.legs[1:])])
+
     def _joints_above(self, body: str) -> list[Joint]:
         index = self.model.body(body).id
         while index:

@@ -11,7 +11,7 @@ from gctd3.algorithms.base import AlgorithmSettings, Architecture
 from gctd3.envs.factory import EnvSettings
 from gctd3.envs.gait import FEATURES, WalkingTask
 from gctd3.envs.reward import Reward
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, check_seed
 from gctd3.exploration import ExplorationSettings
 from gctd3.graph import KinematicGraph
 from gctd3.nn import Network
@@ -49,8 +49,7 @@ class RobotSettings:
     graph_seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.graph_seed < 0:
-            raise ConfigError(f"graph_seed must be at least 0, got {self.graph_seed}.")
+        check_seed("graph_seed", self.graph_seed)
 
 
 @dataclass(frozen=True)
@@ -73,8 +72,7 @@ class EvaluationSettings:
         for name in ("every", "episodes"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
-        if self.seed < 0:
-            raise ConfigError(f"seed must be at least 0, got {self.seed}.")
+        check_seed("seed", self.seed)
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,7 @@ class StopWhen:
 
     def score(self, metrics: Mapping[str, float]) -> float:
         """Ranks policies by the conditions that they meet, then by return."""
-        return self.reached(metrics) + math.tanh(metrics["return_mean"] / 1e4)
+        return self.reached(metrics) + (1.0 + math.tanh(metrics["return_mean"] / 1e4)) / 2.0
 
 
 @dataclass(frozen=True)
@@ -163,8 +161,7 @@ class TrainSettings:
                 raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
         if self.total_episodes is not None and self.total_episodes < 1:
             raise ConfigError(f"total_episodes must be at least 1, or null, got {self.total_episodes}.")
-        if self.seed < 0:
-            raise ConfigError(f"seed must be at least 0, got {self.seed}.")
+        check_seed("seed", self.seed)
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, or null, got {self.threads}.")
         frames = self.env.num_envs * self.steps

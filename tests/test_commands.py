@@ -53,6 +53,9 @@ WRONG = {
     "robot.name=quadruped": ["'quadruped'", "biped", ".xml"],
     "robot.name=nowhere.xml": ["nowhere.xml"],
     "seed=[": ["seed=["],
+    "seed=99999999999": ["seed must be", "below 2^32", "99999999999"],
+    "algo=null": ["cannot be combined"],
+    "evaluation.episodes=100000000000": ["Not enough memory", "number of episodes"],
 }
 
 
@@ -92,6 +95,12 @@ def test_an_output_that_cannot_be_written_is_answered(capsys, tmp_path):
     error = answer(capsys, "train", *tiny(tmp_path / "file" / "run"))
     assert str(tmp_path / "file") in error
     assert (tmp_path / "file").read_text() == "in the way"
+
+
+def test_a_directory_holds_one_run(capsys, run):
+    before = (run / "progress.csv").read_text(encoding="utf-8")
+    assert f"{run} holds a run already" in answer(capsys, "train", *tiny(run))
+    assert (run / "progress.csv").read_text(encoding="utf-8") == before
 
 
 # Runs that are none.

@@ -227,7 +227,7 @@ class WalkingTask:
             "stuck_hip": -w.stuck_hip * stuck_hip,
         }
         if w.antiphase:
-            terms["antiphase"] = -w.antiphase * np.abs(now.angles[..., self.hips].sum(axis=-1))
+            terms["antiphase"] = -w.antiphase * np.abs(now.angles[..., self.hips] @ self.robot.hip_signs)
         if w.single_support:
             terms["single_support"] = w.single_support * (feet[..., -1] == 1)
         if w.overspeed:
