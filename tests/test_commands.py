@@ -159,7 +159,7 @@ def test_a_run_that_is_not_there_is_answered(capsys, tmp_path, name):
     [
         ("evaluate", "episodes=0", "episodes must be at least 1, got 0."),
         ("evaluate", "threads=0", "threads must be at least 1"),
-        ("evaluate", "seed=-1", "seed must be at least 0, got -1."),
+        ("evaluate", "seed=-1", "seed must be at least 0 and below 2^32, got -1."),
         ("evaluate", "episode=3", "Did you mean 'episodes'?"),
         ("render", "width=0", "width must be at least 1, got 0."),
         ("render", "out=walk.bmp", "out must end in .png or .gif, got 'walk.bmp'."),
