@@ -32,7 +32,7 @@ class ReplaySettings:
         n_step: Rewards summed before the bootstrap (Sutton 1988).
         mirror: Whether half of every batch is reflected in the robot's sagittal plane.
         storage: ``frames`` stores every frame once and stacks at sampling, as :class:`.FrameBuffer` does;
-            ``stacked`` stores the stacks as they came, in TorchRL's buffer, at several times the memory.
+            ``stacked`` stores the stacks as they came, in TorchRL's buffer, at six times the memory.
     """
 
     capacity: int = 1_000_000
@@ -138,7 +138,7 @@ class Replay:
 
 
 class StackedBuffer:
-    """TorchRL's replay buffer, with the stacks stored as they came: simple, and five times the memory.
+    """TorchRL's replay buffer, with the stacks stored as they came: simple, and six times the memory of frames.
 
     Args:
         capacity: Transitions kept.

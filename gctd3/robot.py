@@ -5,7 +5,6 @@ Stage one of the data flow. Needs MuJoCo and NumPy, nothing else.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -229,8 +228,3 @@ class Robot:
         order = [self.actuated.index(self.mirror_name(name)) for name in self.actuated]
         sign = [self.mirror_sign(name) for name in self.actuated]
         return np.array(order), np.array(sign)
-
-    @cached_property
-    def fingerprint(self) -> str:
-        """First 16 hexadecimal digits of the SHA-256 of the MJCF's text."""
-        return hashlib.sha256(self.path.read_bytes()).hexdigest()[:16]

@@ -267,14 +267,6 @@ def test_feet_are_the_legs_ends_unless_chosen(tmp_path):
     assert Robot.from_mjcf(path, feet=["leg_l"]).feet == ("leg_l",)
 
 
-def test_fingerprint_follows_the_text(tmp_path):
-    same, again, other = (
-        Robot.from_mjcf(write(tmp_path, text)).fingerprint
-        for text in (TWO_LEGS, TWO_LEGS, TWO_LEGS.replace("0.5", "0.6"))
-    )
-    assert same == again != other
-
-
 # Errors name the file and the element.
 
 SECOND_ROOT = '<body name="extra" pos="2 0 1"><joint name="extra" type="slide"/><geom size="0.1"/></body></worldbody>'
