@@ -32,11 +32,10 @@ class Reward:
         single_support: Shaping: bonus for each step with exactly one foot down.
         overspeed: Shaping: punishment per m/s above ``overspeed_from`` (s/m).
         overspeed_from: Forward velocity from which ``overspeed`` counts (m/s).
-        air_time: Shaping: bonus at a foot's touchdown per second that it was longer in the air than
-            ``air_time_target``, a punishment if it was shorter (1/s); ``feet_air_time`` of Rudin et al. 2022
-            (arXiv:2109.11978).
-        air_time_target: Time in the air that earns nothing (s).
-        air_time_most: Time in the air beyond which the bonus no longer grows (s).
+        air_time: Shaping: punishment at a foot's touchdown per second that it was longer or shorter in the air than
+            ``air_time_target`` (1/s); after ``feet_air_time`` of Rudin et al. 2022 (arXiv:2109.11978), which pays
+            for any longer time.
+        air_time_target: Time in the air that costs nothing (s).
     """
 
     target_velocity: float = 0.9
@@ -56,8 +55,7 @@ class Reward:
     overspeed: float = 0.0
     overspeed_from: float = 1.2
     air_time: float = 0.0
-    air_time_target: float = 0.25
-    air_time_most: float = 0.35
+    air_time_target: float = 0.3
 
     def __post_init__(self) -> None:
         _require_at_least(self, 1, "progress_steps", "frames")
