@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tensordict import TensorDictBase
-from torchrl.objectives import DDPGLoss, SoftUpdate
+from torchrl.objectives import DDPGLoss
 
 from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics, minimize
+from gctd3.objectives import FusedSoftUpdate
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class DDPG(Algorithm):
         self.actor = architecture.actor()
         self.loss = DDPGLoss(self.actor, architecture.critic(), loss_function="l2", delay_actor=True, delay_value=True)
         self.loss.make_value_estimator(gamma=settings.gamma)
-        self.targets = SoftUpdate(self.loss, tau=settings.tau)
+        self.targets = FusedSoftUpdate(self.loss, tau=settings.tau)
         self.critic_optimizer = self.optimizer("critic", self.loss.value_network_params.values(True, True))
         self.actor_optimizer = self.optimizer("actor", self.loss.actor_network_params.values(True, True))
 

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.objectives import SoftUpdate
 
 from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics
 from gctd3.errors import ConfigError
-from gctd3.objectives import SACLoss
+from gctd3.objectives import FusedSoftUpdate, SACLoss
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class SAC(Algorithm):
             target_entropy=-float(architecture.action_dim),
         )
         self.loss.make_value_estimator(gamma=settings.gamma)
-        self.targets = SoftUpdate(self.loss, tau=settings.tau)
+        self.targets = FusedSoftUpdate(self.loss, tau=settings.tau)
         self.critic_optimizer = self.optimizer("critic", self.loss.qvalue_network_params.values(True, True))
         self.actor_optimizer = self.optimizer("actor", self.loss.actor_network_params.values(True, True))
         self.alpha_optimizer = self.optimizer("alpha", [self.loss.log_alpha])

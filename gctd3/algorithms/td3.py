@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tensordict import TensorDictBase
-from torchrl.objectives import SoftUpdate
 
 from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics, minimize
 from gctd3.errors import ConfigError
-from gctd3.objectives import TD3Loss
+from gctd3.objectives import FusedSoftUpdate, TD3Loss
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class TD3(Algorithm):
             loss_function="l2",
         )
         self.loss.make_value_estimator(gamma=settings.gamma)
-        self.targets = SoftUpdate(self.loss, tau=settings.tau)
+        self.targets = FusedSoftUpdate(self.loss, tau=settings.tau)
         self.critic_optimizer = self.optimizer("critic", self.loss.qvalue_network_params.values(True, True))
         self.actor_optimizer = self.optimizer("actor", self.loss.actor_network_params.values(True, True))
 

@@ -6,7 +6,9 @@ Stage three of the data flow, shared by every backend. All functions take arrays
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import numpy as np
 
@@ -65,13 +67,17 @@ class Progress:
     hip_steps: np.ndarray
     hip_positive: np.ndarray
 
-    def where(self, mask: np.ndarray, other: Progress) -> Progress:
-        """``other`` where ``mask`` (shape ``[*]``) holds, this elsewhere."""
-        merged = {}
-        for field in fields(self):
-            mine, theirs = getattr(self, field.name), getattr(other, field.name)
-            merged[field.name] = np.where(mask.reshape(mask.shape + (1,) * (mine.ndim - mask.ndim)), theirs, mine)
-        return Progress(**merged)
+
+Arrays = TypeVar("Arrays", Measurement, Progress)
+
+
+def put(whole: Arrays, robots: np.ndarray, part: Arrays) -> Arrays:
+    """``whole``, arrays of shape ``[N, ...]``, with the rows ``robots`` replaced by those of ``part``."""
+    merged = {}
+    for field in fields(whole):
+        merged[field.name] = getattr(whole, field.name).copy()
+        merged[field.name][robots] = getattr(part, field.name)
+    return type(whole)(**merged)
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,7 @@ class Outcome:
     @property
     def reward(self) -> np.ndarray:
         """The sum of the terms."""
-        return np.sum(list(self.terms.values()), axis=0)
+        return functools.reduce(np.add, self.terms.values())
 
 
 class WalkingTask:
@@ -131,14 +137,15 @@ class WalkingTask:
         self._joint_of_node = np.array([names.index(node) for node in graph.nodes[1:-1]])
         self._feet = robot.contact_sensors(robot.feet)
         self._others = robot.contact_sensors(robot.other_contact_bodies)
+        self._forward, self._vertical = robot.forward, robot.vertical
         self._standing_height = robot.standing_qpos[robot.vertical]
 
     def measure(self, qpos: np.ndarray, qvel: np.ndarray, sensordata: np.ndarray) -> Measurement:
         """Read the simulator: ``qpos [*, nq]``, ``qvel [*, nv]``, ``sensordata [*, ns]``."""
         return Measurement(
-            position=np.array(qpos[..., self.robot.forward]),
-            height=np.asarray(qpos[..., self.robot.vertical] - self._standing_height),
-            velocity=np.array(qvel[..., self.robot.forward]),
+            position=np.array(qpos[..., self._forward]),
+            height=np.asarray(qpos[..., self._vertical] - self._standing_height),
+            velocity=np.array(qvel[..., self._forward]),
             angles=qpos[..., self._qpos],
             velocities=qvel[..., self._qvel],
             feet_down=sensordata[..., self._feet] > 0,
