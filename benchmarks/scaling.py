@@ -30,7 +30,7 @@ from gctd3.envs.reward import Reward
 from gctd3.nn import Network
 
 FEATURES, ACTIONS = 10, 6
-NODES, BATCH, ROBOTS = 8, 256, (64, 1024)  # where another size grows
+NODES, BATCH, ROBOTS = 8, 256, (64, 1024)  # where another size grows; the biped has 8 nodes
 NETWORKS = {"GCN": Network(), "MLP": Network(graph_layers=())}
 FRAMES, UPDATES = 2048, 10  # steps of all robots, and updates, that are timed at once
 
@@ -114,13 +114,13 @@ def draw(panels: dict[str, Times], file: Path) -> None:
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+    from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
     labels = {
         "robots": ("Environment: cost of a robot's step", "robots stepped at once", "µs per robot and step"),
         "nodes": (f"Update against nodes (batch {BATCH})", "nodes of the graph", "ms per TD3 update"),
         "batch": (f"Update against batch ({NODES} nodes)", "batch size", "ms per TD3 update"),
-        "threads": ("Threads", "threads", "speed-up over one thread"),
+        "threads": (f"Threads (updates: batch {BATCH}, {NODES} nodes)", "threads", "speed-up over one thread"),
     }
     figure, axes = plt.subplots(2, 2, figsize=(10, 7.5), layout="constrained")
     for (key, (title, x, y)), ax in zip(labels.items(), axes.flat, strict=True):
@@ -136,10 +136,11 @@ def draw(panels: dict[str, Times], file: Path) -> None:
             ax.set_ylim(bottom=0)
         else:
             ax.set_yscale("log")
-            ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         ax.xaxis.set_major_locator(FixedLocator(sizes))
-        ax.xaxis.set_minor_locator(NullLocator())
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        for axis in (ax.xaxis, ax.yaxis):
+            axis.set_minor_locator(NullLocator())
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
         ax.grid(True, which="major", alpha=0.3)
         ax.legend(frameon=False)
     figure.savefig(file, dpi=130)
