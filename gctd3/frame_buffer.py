@@ -28,14 +28,25 @@ class FrameBuffer:
         history: ``H``, frames in a stack.
         n_step: Rewards summed before the bootstrap.
         gamma: Their discount.
+        device: Where they are kept and batches made.
 
     Raises:
         ConfigError: If the capacity is too small for the robots that the first batch brings.
     """
 
     KEYS = ("nodes", "counters")  # observations; of "nodes" only the newest frame is stored
+    KEPT = (*KEYS, "action", "step_count", *(("next", key) for key in (*KEYS, "reward", "terminated", "truncated")))
 
-    def __init__(self, capacity: int, batch_size: int, history: int, n_step: int, gamma: float) -> None:
+    def __init__(
+        self,
+        capacity: int,
+        batch_size: int,
+        history: int,
+        n_step: int,
+        gamma: float,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.device = torch.device(device)
         self.capacity, self.batch_size = capacity, batch_size
         self.history, self.n_step, self.gamma = history, n_step, gamma
         self._ring: dict[str, Tensor] = {}
@@ -55,10 +66,10 @@ class FrameBuffer:
             )
         try:
             for key, values in step.items():
-                self._ring[key] = torch.zeros((self.rows, *values.shape), dtype=values.dtype)
+                self._ring[key] = torch.zeros((self.rows, *values.shape), dtype=values.dtype, device=self.device)
         except RuntimeError as error:
             raise MemoryError(f"replay.capacity={self.capacity}") from error
-        self._ring["last"] = torch.full((self.rows, self.robots), -1, dtype=torch.int32)
+        self._ring["last"] = torch.full((self.rows, self.robots), -1, dtype=torch.int32, device=self.device)
         self._flat = {key: values.flatten(0, 1) for key, values in self._ring.items()}
         for key in self.KEYS:
             self._last[key] = self._ring[key].new_zeros((0, *self._ring[key].shape[2:]))
@@ -73,6 +84,7 @@ class FrameBuffer:
 
     def extend(self, collected: TensorDictBase) -> None:
         """Append ``collected``, batch size ``[robots, time]``, in the order of time."""
+        collected = collected.select(*self.KEPT).to(self.device)
         following = collected["next"]
         for t in range(collected.shape[1]):
             step = TensorDict(
@@ -100,7 +112,7 @@ class FrameBuffer:
         last[row] = -1
         ended = torch.nonzero(step["terminated"] | step["truncated"])[:, 0]
         if len(ended):
-            places = torch.tensor(self._places(len(ended)))
+            places = torch.tensor(self._places(len(ended)), device=self.device)
             last[row, ended] = places.to(torch.int32)
             self._last["nodes"][places] = following["nodes"][ended][..., -FEATURES:]
             self._last["counters"][places] = following["counters"][ended]
@@ -135,8 +147,11 @@ class FrameBuffer:
         if not self.ready:
             raise RuntimeError(f"The replay holds {self.filled} steps of each robot: too few to draw from.")
         first = self.head + self.history - 1 if self.filled == self.rows else 0
-        steps = (first + torch.randint(self.ready, (self.batch_size,))) % self.rows
-        return self.gather(steps, torch.randint(self.robots, (self.batch_size,)))
+        steps = (first + self._draw(self.ready)) % self.rows
+        return self.gather(steps, self._draw(self.robots))
+
+    def _draw(self, below: int) -> Tensor:
+        return torch.randint(below, (self.batch_size,), device=self.device)
 
     def gather(self, row: Tensor, robot: Tensor) -> TensorDictBase:
         """The transitions of the given rows and robots, each ``[B]``; batch size ``[B]``."""
@@ -186,7 +201,7 @@ class FrameBuffer:
         """The ``frames`` frames up to ``place`` side by side, oldest first; before the episode's first it repeats."""
         if not frames:
             return self._ring["nodes"].new_zeros((len(place), *self._ring["nodes"].shape[2:-1], 0))
-        back = torch.arange(frames - 1, -1, -1).minimum(self._at("age", place).long()[:, None])
+        back = torch.arange(frames - 1, -1, -1, device=self.device).minimum(self._at("age", place).long()[:, None])
         places = (place[:, None] - back * self.robots) % (self.rows * self.robots)
         stack = self._at("nodes", places.reshape(-1)).unflatten(0, places.shape)
         return stack.movedim(1, -2).flatten(-2)

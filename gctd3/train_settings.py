@@ -7,7 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+import torch
+
 from gctd3.algorithms.base import AlgorithmSettings, Architecture
+from gctd3.device import check_device
 from gctd3.envs.factory import EnvSettings
 from gctd3.envs.gait import FEATURES, WalkingTask
 from gctd3.envs.reward import Reward
@@ -132,6 +135,7 @@ class TrainSettings:
         total_episodes: Episodes after which to end, counted as they end; ``None`` for any number.
         steps: Control steps of every robot between updates.
         updates: Updates after those.
+        device: That networks and replay live on, ``cpu``, ``cuda`` or ``cuda:0`` and so on; robots are on the CPU.
         threads: Of PyTorch; its own default if ``None``.
         logger: Where curves go, besides ``progress.csv``.
         keep_checkpoints: Newest checkpoints to keep, besides the best.
@@ -151,6 +155,7 @@ class TrainSettings:
     total_episodes: int | None = None
     steps: int = 1
     updates: int = 4
+    device: str = "cpu"
     threads: int | None = None
     logger: Literal["csv", "tensorboard", "wandb", "mlflow", "none"] = "tensorboard"
     keep_checkpoints: int = 1
@@ -162,6 +167,7 @@ class TrainSettings:
         if self.total_episodes is not None and self.total_episodes < 1:
             raise ConfigError(f"total_episodes must be at least 1, or null, got {self.total_episodes}.")
         check_seed("seed", self.seed)
+        check_device(self.device)
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, or null, got {self.threads}.")
         frames = self.env.num_envs * self.steps
@@ -184,8 +190,8 @@ class TrainSettings:
         """
         return Robot.from_mjcf(self.robot.name)
 
-    def architecture(self) -> Architecture:
-        """What the networks are built from."""
+    def architecture(self, device: torch.device | str = "cpu") -> Architecture:
+        """What the networks are built from, to lie on ``device``."""
         robot = self.load_robot()
         task = WalkingTask(robot, self.reward, self.env.endings, self.env.control_dt)
         return Architecture(
@@ -194,4 +200,5 @@ class TrainSettings:
             in_features=FEATURES * self.env.history,
             action_dim=len(robot.actuated),
             privileged_dim=task.num_counters if self.algo.privileged_critic else 0,
+            device=device,
         )

@@ -181,12 +181,12 @@ def test_shaping_of_one_step(robot):
     ("steps_in_air", "landing", "cost"),
     [
         (10, (True, False), 2.0 * (0.25 - 0.20)),
-        (15, (True, False), 2.0 * (0.30 - 0.25)),
-        (30, (True, False), 2.0 * (0.60 - 0.25)),
-        (15, (True, True), 2 * 2.0 * (0.30 - 0.25)),
+        (5, (True, False), 2.0 * (0.25 - 0.10)),
+        (30, (True, False), 0.0),
+        (10, (True, True), 2 * 2.0 * (0.25 - 0.20)),
     ],
 )
-def test_air_time_off_its_target_costs_at_touchdown(robot, steps_in_air, landing, cost):
+def test_too_short_a_time_in_the_air_costs_at_touchdown(robot, steps_in_air, landing, cost):
     task = WalkingTask(robot, Reward(air_time=2.0, air_time_target=0.25))
     down, up = sense(feet=(True, True)), sense(feet=(False, False))
     _, outcomes = walk(task, down, *[up] * steps_in_air, sense(feet=landing), sense(feet=landing))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from gctd3.graph import KinematicGraph
 from gctd3.nn import Network, make_actor, make_critic, make_stochastic_actor
 
 Metrics = dict[str, Tensor]
+EAGER = 2  # updates before compiling, in which every loss is called once and gets its networks
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Architecture:
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
         privileged_dim: Length of the critics' extra input, 0 for none.
+        device: Where the parameters lie.
     """
 
     graph: KinematicGraph
@@ -38,18 +40,20 @@ class Architecture:
     in_features: int
     action_dim: int
     privileged_dim: int = 0
+    device: torch.device | str = "cpu"
 
     def actor(self) -> TensorDictModule:
         """A fresh deterministic policy."""
-        return make_actor(self.graph, self.in_features, self.action_dim, self.network)
+        return make_actor(self.graph, self.in_features, self.action_dim, self.network).to(self.device)
 
     def stochastic_actor(self) -> TensorDictModuleBase:
         """A fresh Gaussian policy."""
-        return make_stochastic_actor(self.graph, self.in_features, self.action_dim, self.network)
+        return make_stochastic_actor(self.graph, self.in_features, self.action_dim, self.network).to(self.device)
 
     def critic(self) -> TensorDictModule:
         """A fresh action-value network."""
-        return make_critic(self.graph, self.in_features, self.action_dim, self.network, self.privileged_dim)
+        critic = make_critic(self.graph, self.in_features, self.action_dim, self.network, self.privileged_dim)
+        return critic.to(self.device)
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,7 @@ class AlgorithmSettings(ABC):
         tau: Share of the trained parameters that enters the averaged ones at each target update.
         gamma: Discount factor.
         average_policy: Whether evaluations use the averaged actor rather than the trained one.
+        compile: Whether ``torch.compile`` compiles the losses, with CUDA graphs on a GPU.
         privileged_critic: Whether the critics also see how near each time-based ending is.
     """
 
@@ -69,6 +74,7 @@ class AlgorithmSettings(ABC):
     gamma: float = 0.99
     average_policy: bool = True
     privileged_critic: bool = False
+    compile: bool = False
 
     def __post_init__(self) -> None:
         if not self.learning_rate > 0:
@@ -95,25 +101,40 @@ class Algorithm(ABC):
     actor: TensorDictModuleBase
     loss: LossModule
     settings: AlgorithmSettings
+    LOSSES: tuple[str, ...]  # methods of the loss that an update calls
 
-    def __init__(self) -> None:
+    def __init__(self, compiled: bool = False) -> None:
         self.updates = 0
         self.optimizers: dict[str, torch.optim.Optimizer] = {}
+        self._to_compile = compiled
+
+    def update(self, batch: TensorDictBase) -> Metrics:
+        """One update on a batch of size ``[B]``, on the parameters' device; returns scalars to log."""
+        if self._to_compile and self.updates == EAGER:
+            self._compile()
+        self.updates += 1
+        return self._update(batch)
 
     @abstractmethod
-    def update(self, batch: TensorDictBase) -> Metrics:
-        """One update on a batch of size ``[B]``; returns scalars to log."""
+    def _update(self, batch: TensorDictBase) -> Metrics:
+        """What :meth:`update` does; ``updates`` counts this one already."""
+
+    def _compile(self) -> None:
+        cuda = next(self.loss.parameters()).is_cuda
+        for name in self.LOSSES:
+            compiled = torch.compile(getattr(self.loss, name), mode="reduce-overhead" if cuda else "default")
+            self.loss.__dict__[name] = _in_a_step(compiled) if cuda else compiled
 
     @abstractmethod
     def averaged_actor_params(self) -> TensorDictBase:
         """Parameters of the averaged actor."""
 
     def policy(self) -> TensorDictModuleBase:
-        """A copy of the actor to evaluate and ship: averaged if the settings say so, without gradients."""
+        """A copy of the actor to evaluate and ship, on the CPU: averaged if the settings say so, without gradients."""
         policy = copy.deepcopy(self.actor).requires_grad_(False).eval()
         if self.settings.average_policy:
             self.averaged_actor_params().data.clone().to_module(policy)
-        return policy
+        return policy.to("cpu")
 
     def optimizer(self, name: str, parameters: Iterable[nn.Parameter]) -> torch.optim.Optimizer:
         """A new Adam over the trainable ones of ``parameters``, saved under ``name``."""
@@ -135,6 +156,16 @@ class Algorithm(ABC):
         self.loss.load_state_dict(state["loss"])
         for name, optimizer in self.optimizers.items():
             optimizer.load_state_dict(state["optimizers"][name])
+
+
+def _in_a_step(compiled: Callable[..., Any]) -> Callable[..., Any]:
+    """A function on CUDA graphs, whose results would be overwritten by its next call, with results of its own."""
+
+    def call(*args: Any) -> Any:  # noqa: ANN401
+        torch.compiler.cudagraph_mark_step_begin()
+        return torch.utils._pytree.tree_map(torch.clone, compiled(*args))
+
+    return call
 
 
 def minimize(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:

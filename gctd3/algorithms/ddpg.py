@@ -23,8 +23,10 @@ class DDPGSettings(AlgorithmSettings):
 class DDPG(Algorithm):
     """One critic, and an actor that follows its gradient."""
 
+    LOSSES = ("loss_value", "loss_actor")
+
     def __init__(self, settings: DDPGSettings, architecture: Architecture) -> None:
-        super().__init__()
+        super().__init__(settings.compile)
         self.settings = settings
         self.actor = architecture.actor()
         self.loss = DDPGLoss(self.actor, architecture.critic(), loss_function="l2", delay_actor=True, delay_value=True)
@@ -33,9 +35,8 @@ class DDPG(Algorithm):
         self.critic_optimizer = self.optimizer("critic", self.loss.value_network_params.values(True, True))
         self.actor_optimizer = self.optimizer("actor", self.loss.actor_network_params.values(True, True))
 
-    def update(self, batch: TensorDictBase) -> Metrics:
+    def _update(self, batch: TensorDictBase) -> Metrics:
         """One update of the critic, the actor and the targets."""
-        self.updates += 1
         loss_critic, details = self.loss.loss_value(batch)
         minimize(self.critic_optimizer, loss_critic)
         loss_actor, _ = self.loss.loss_actor(batch)

@@ -35,8 +35,10 @@ class SACSettings(AlgorithmSettings):
 class SAC(Algorithm):
     """Twin critics, a Gaussian actor, and a temperature that holds its entropy at minus the number of actions."""
 
+    LOSSES = ("forward",)
+
     def __init__(self, settings: SACSettings, architecture: Architecture) -> None:
-        super().__init__()
+        super().__init__(settings.compile)
         self.settings = settings
         self.actor = architecture.stochastic_actor()
         self.loss = SACLoss(
@@ -54,9 +56,8 @@ class SAC(Algorithm):
         # SAC has no target actor; this average serves evaluation only.
         self._average = self.loss.actor_network_params.data.clone()
 
-    def update(self, batch: TensorDictBase) -> Metrics:
+    def _update(self, batch: TensorDictBase) -> Metrics:
         """One update of the critics, the actor, the temperature and the targets."""
-        self.updates += 1
         losses = self.loss(batch)
         total = losses["loss_qvalue"] + losses["loss_actor"] + losses["loss_alpha"]
         for optimizer in self.optimizers.values():

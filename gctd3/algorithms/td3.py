@@ -42,8 +42,10 @@ class TD3Settings(AlgorithmSettings):
 class TD3(Algorithm):
     """Twin critics, target noise, delayed actor."""
 
+    LOSSES = ("value_loss", "actor_loss")
+
     def __init__(self, settings: TD3Settings, architecture: Architecture) -> None:
-        super().__init__()
+        super().__init__(settings.compile)
         self.settings: TD3Settings = settings
         self.actor = architecture.actor()
         # A list, because a single module would be copied and initialised anew.
@@ -61,10 +63,8 @@ class TD3(Algorithm):
         self.critic_optimizer = self.optimizer("critic", self.loss.qvalue_network_params.values(True, True))
         self.actor_optimizer = self.optimizer("actor", self.loss.actor_network_params.values(True, True))
 
-    def update(self, batch: TensorDictBase) -> Metrics:
+    def _update(self, batch: TensorDictBase) -> Metrics:
         """One critic update; every ``policy_delay``-th also one of the actor and the targets."""
-        self.updates += 1
-
         # Critics: towards the smaller target critic's value of the target actor's noisy action (equations 9 to 11).
         loss_critic, details = self.loss.value_loss(batch)
         minimize(self.critic_optimizer, loss_critic)

@@ -20,7 +20,7 @@ class BatchedEnv(EnvBase):
 
     Writes, with leading dimension ``[N]``: ``nodes [nodes, 2]``, ``counters [2 * feet]``, ``position [1]`` (m),
     ``success [1]``, TorchRL's reward and done keys, and what :class:`torchrl.envs.InitTracker` and
-    :class:`torchrl.envs.StepCounter` would: ``is_init [1]``, ``step_count [1]``. The action has shape ``[A]`` in [-1, 1].
+    :class:`torchrl.envs.StepCounter` would: ``is_init [1]``, ``step_count [1]``. Actions: ``[A]`` in [-1, 1].
     """
 
     def __init__(self, simulation: Simulation) -> None:

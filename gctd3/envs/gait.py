@@ -240,9 +240,9 @@ class WalkingTask:
         if w.overspeed:
             terms["overspeed"] = -w.overspeed * np.maximum(now.velocity - w.overspeed_from, 0.0)
         if w.air_time:
-            off_time = np.abs(before.air_steps * self.control_dt - w.air_time_target)
+            short = np.maximum(w.air_time_target - before.air_steps * self.control_dt, 0.0)
             touchdown = now.feet_down & (before.air_steps > 0)
-            terms["air_time"] = -w.air_time * np.where(touchdown, off_time, 0.0).sum(axis=-1)
+            terms["air_time"] = -w.air_time * np.where(touchdown, short, 0.0).sum(axis=-1)
 
         terminated = fell | long_contact | stuck_hip
         success = (now.position >= end.finish) & ~terminated

@@ -32,10 +32,10 @@ class Reward:
         single_support: Shaping: bonus for each step with exactly one foot down.
         overspeed: Shaping: punishment per m/s above ``overspeed_from`` (s/m).
         overspeed_from: Forward velocity from which ``overspeed`` counts (m/s).
-        air_time: Shaping: punishment at a foot's touchdown per second that it was longer or shorter in the air than
-            ``air_time_target`` (1/s); after ``feet_air_time`` of Rudin et al. 2022 (arXiv:2109.11978), which pays
-            for any longer time.
-        air_time_target: Time in the air that costs nothing (s).
+        air_time: Shaping: punishment at a foot's touchdown per second that it was shorter in the air than
+            ``air_time_target`` (1/s); after ``feet_air_time`` of Rudin et al. 2022 (arXiv:2109.11978), which also
+            pays for longer times.
+        air_time_target: Time in the air from which a step costs nothing (s).
     """
 
     target_velocity: float = 0.9
