@@ -1,122 +1,216 @@
-"""What a run leaves behind: checkpoints that appear whole or not at all, and the policy in them.
+"""What a run leaves behind to be continued, judged and shipped: checkpoints that are whole or not there.
 
-TorchRL's checkpoints hold tensors and JSON, so loading one executes nothing.
+``checkpoints/step-FRAMES`` holds the whole state of a training but the replay's rows, which lie once for all
+checkpoints in ``checkpoints/replay``; ``checkpoints/best-FRAMES`` holds the best policy. Every file has a checksum.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping
+import shutil
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from tensordict.nn import TensorDictModuleBase
-from torchrl.checkpoint import Checkpoint, CheckpointError, CheckpointRotation
-from yaml import YAMLError
+from torch import Tensor
 
 import gctd3
-from gctd3.errors import ConfigError, RunError
-from gctd3.settings import build
+from gctd3.errors import RunError
+from gctd3.files import (
+    MANIFEST,
+    check_file,
+    load_tree,
+    new_directory,
+    read_manifest,
+    save_tree,
+    write_manifest,
+)
+from gctd3.frame_buffer import FrameBuffer
+from gctd3.run_config import load_settings
 
 if TYPE_CHECKING:
-    from gctd3.train_settings import TrainSettings
+    from gctd3.replay import StackedBuffer
 
-FORMAT = 1  # of a run directory; raised when an older reader would misread a newer one
-CONFIG = Path(".hydra") / "config.yaml"
+FORMAT = 2  # of a checkpoint; 1 was TorchRL's own
 FOLDER = "checkpoints"
-SCORE = "score"
+STATE, POLICY, REPLAY = "state.safetensors", "policy.safetensors", "replay"
+PACKAGES = ("gctd3", "torch", "torchrl", "tensordict", "mujoco", "dm-control", "numpy")
+
+
+def versions() -> dict[str, str]:
+    """Of the packages that a result depends on."""
+    found = {}
+    for package in PACKAGES:
+        with contextlib.suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found
 
 
 class Checkpoints:
-    """The checkpoints of a run: the newest few, and the best.
+    """The checkpoints of a run.
 
     Args:
         run: The run's directory.
         keep: How many of the newest to keep.
+        about: What every manifest says besides: the configuration, the graph.
     """
 
-    def __init__(self, run: Path, keep: int = 1) -> None:
-        self._rotation = CheckpointRotation(run / FOLDER, keep_last=keep, keep_best=(SCORE, "max"))
+    def __init__(self, run: Path, keep: int = 2, about: Mapping[str, Any] | None = None) -> None:
+        self.run, self.directory, self.keep = run, run / FOLDER, keep
+        self.about = dict(about or {})
 
-    def save(self, frames: int, score: float, metrics: Mapping[str, float], **components: Any) -> Path:  # noqa: ANN401
-        """Write a checkpoint.
+    def save(self, frames: int, state: Mapping[str, Any], replay: FrameBuffer | StackedBuffer) -> None:
+        """Write a checkpoint, then drop the ones before the newest ``keep``.
 
         Args:
-            frames: Frames collected so far; orders the checkpoints.
-            score: The largest one's checkpoint is kept.
-            metrics: Of its evaluation, to be read without loading it.
-            **components: Objects with a ``state_dict``, or values for JSON.
+            frames: Frames collected so far; names and orders the checkpoints.
+            state: Of everything but the replay.
+            replay: What is remembered. Of a :class:`.FrameBuffer` only the rows are written that no checkpoint has.
         """
-        metadata = {
-            "format": FORMAT,
-            "gctd3": gctd3.__version__,
-            SCORE: score,
-            "frames": frames,
-            "metrics": {key: value for key, value in metrics.items() if math.isfinite(value)},
-        }
-        return self._rotation.save(Checkpoint(**components), step=frames, metadata=metadata)
+        target = self.directory / f"step-{frames:012d}"
+        if target.exists():
+            return
+        with self._room(), new_directory(target) as aside:
+            parts = self._save_rows(replay) if isinstance(replay, FrameBuffer) else []
+            seal = save_tree(aside / STATE, {**state, "replay": replay.state_dict()})
+            write_manifest(aside, self._manifest(frames, {STATE: seal}, replay=parts))
+        self._drop()
+
+    def save_best(self, frames: int, policy: TensorDictModuleBase, metrics: Mapping[str, float]) -> None:
+        """Write a policy that is better than those before, and drop those."""
+        target = self.directory / f"best-{frames:012d}"
+        if not target.exists():
+            with self._room(), new_directory(target) as aside:
+                seal = save_tree(aside / POLICY, dict(policy.state_dict()))
+                finite = {key: value for key, value in metrics.items() if math.isfinite(value)}
+                write_manifest(aside, self._manifest(frames, {POLICY: seal}, metrics=finite))
+        for other in self.directory.glob("best-*"):
+            if other != target:
+                shutil.rmtree(other)
+
+    def newest(self) -> tuple[dict[str, Any], Iterator[tuple[int, dict[str, Tensor]]]] | None:
+        """State and replay rows of the newest checkpoint that is whole; ``None`` if there is no checkpoint.
+
+        A damaged one is passed over, with a line on stderr.
+
+        Raises:
+            RunError: If all are damaged, or they are of another format.
+        """
+        self._refuse_other_formats()
+        found = sorted(self.directory.glob("step-*"), reverse=True)
+        for path in found:
+            try:
+                manifest = checked(path)
+                for part in manifest["replay"]:
+                    check_file(self.directory / REPLAY / part["file"], part["sha256"])
+                state: dict[str, Any] = load_tree(path / STATE)
+            except RunError as error:
+                print(f"Passed over a checkpoint: {error}", file=sys.stderr)
+                continue
+            rows = ((part["start"], load_tree(self.directory / REPLAY / part["file"])) for part in manifest["replay"])
+            return state, rows
+        if found:
+            raise RunError(f"All {len(found)} checkpoints in {self.directory} are damaged.")
+        return None
 
     def best(self) -> Path:
-        """The best checkpoint.
+        """The best policy's directory.
 
         Raises:
             RunError: If there is none.
         """
-        path = self._rotation.best()
-        if path is None:
-            folder = self._rotation.directory
-            raise RunError(f"No checkpoint in {folder}: the run was stopped before its first evaluation.")
-        return path
+        self._refuse_other_formats()
+        found = sorted(path for path in self.directory.glob("best-*") if (path / MANIFEST).is_file())
+        if not found:
+            raise RunError(f"No policy in {self.directory}: the run was stopped before its first evaluation.")
+        # Two only if the one before was about to be dropped.
+        return found[-1]
 
+    def forget_after(self, frames: int) -> None:
+        """Drop the best policy if it is of a later moment than ``frames``: continuing from there finds it again."""
+        for path in self.directory.glob("best-*"):
+            if int(path.name.removeprefix("best-")) > frames:
+                shutil.rmtree(path)
 
-def load_settings(run: str | Path) -> TrainSettings:
-    """The settings that a run was started with.
+    def _manifest(self, frames: int, files: Mapping[str, str], **more: Any) -> dict[str, Any]:  # noqa: ANN401
+        return {"format": FORMAT, "frames": frames, "versions": versions(), "files": dict(files), **self.about, **more}
 
-    Raises:
-        RunError: If ``run`` is not the directory of a run, or one of another version.
-    """
-    directory = Path(run)
-    file = directory / CONFIG
-    if not directory.is_dir():
-        raise RunError(f"No run directory at {directory}.")
-    if not file.is_file():
-        raise RunError(f"{directory} is not a run: it has no {CONFIG}. A run is what gctd3.train leaves behind.")
-    try:
-        config = OmegaConf.load(file)
-        if not isinstance(config, DictConfig):
-            raise RunError(f"{file} does not hold a mapping.")
-        settings: TrainSettings = build(config)
-    except (OmegaConfBaseException, YAMLError, ConfigError) as error:
-        raise RunError(
-            f"{file} cannot be used by gctd3 {gctd3.__version__}; it is damaged or of another version: {error}"
-        ) from error
-    return settings
+    def _save_rows(self, buffer: FrameBuffer) -> list[dict[str, Any]]:
+        """Write the rows that are new; the parts that hold all rows of the ring, in order."""
+        folder = self.directory / REPLAY
+        folder.mkdir(parents=True, exist_ok=True)
+        oldest = buffer.total - buffer.filled
+        parts = [part for part in self._parts() if part["stop"] > oldest and part["stop"] <= buffer.total]
+        start = parts[-1]["stop"] if parts else oldest
+        if start < buffer.total:
+            name = f"rows-{start:012d}-{buffer.total:012d}.safetensors"
+            aside = folder / f".{name}.tmp"
+            try:
+                seal = save_tree(aside, buffer.rows_between(start, buffer.total))
+                aside.replace(folder / name)
+            except BaseException:
+                aside.unlink(missing_ok=True)
+                raise
+            parts.append({"file": name, "start": start, "stop": buffer.total, "sha256": seal})
+        return parts
 
+    def _parts(self) -> list[dict[str, Any]]:
+        """Parts of the replay that the newest checkpoint names."""
+        for path in sorted(self.directory.glob("step-*"), reverse=True):
+            with contextlib.suppress(RunError):
+                return list(read_manifest(path)["replay"])
+        return []
 
-def load_into(checkpoint: Path, **components: Any) -> dict[str, Any]:  # noqa: ANN401
-    """Restore ``components`` from a checkpoint.
+    def _drop(self) -> None:
+        """Delete checkpoints before the newest ones, and parts of the replay that none of those names."""
+        paths = sorted(self.directory.glob("step-*"))
+        for path in paths[: -self.keep]:
+            shutil.rmtree(path)
+        named = set()
+        for path in paths[-self.keep :]:
+            with contextlib.suppress(RunError):
+                named |= {part["file"] for part in read_manifest(path)["replay"]}
+        for file in (self.directory / REPLAY).glob("*"):
+            if file.name not in named:
+                file.unlink()
 
-    Returns:
-        The checkpoint's metadata.
-
-    Raises:
-        RunError: If it is damaged, of another version, or does not fit the components.
-    """
-    try:
-        metadata = Checkpoint.manifest(checkpoint).get("metadata", {})
-        if metadata.get("format") != FORMAT:
+    @contextlib.contextmanager
+    def _room(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
             raise RunError(
-                f"{checkpoint} has format {metadata.get('format')!r}, written by gctd3 {metadata.get('gctd3')!r}; "
-                f"this is gctd3 {gctd3.__version__}, which reads format {FORMAT}."
+                f"Cannot write a checkpoint to {self.directory}: {error.strerror or error}. What was written before is "
+                f"whole; when there is room again:  python -m gctd3.train resume={self.run}"
+            ) from error
+
+    def _refuse_other_formats(self) -> None:
+        if any(self.directory.glob("checkpoint-*")):
+            raise RunError(
+                f"{self.directory} has checkpoints of format 1, as gctd3 wrote before format {FORMAT}; "
+                "train again, or use the version that wrote them."
             )
-        Checkpoint(**components).load(checkpoint, components=list(components))
-    except (CheckpointError, OSError, KeyError, ValueError, RuntimeError) as error:
-        if isinstance(error, RunError):
-            raise
-        raise RunError(f"{checkpoint} cannot be loaded: {error}") from error
-    return dict(metadata)
+
+
+def checked(path: Path) -> dict[str, Any]:
+    """The manifest of a checkpoint or policy, once its format and its files are found right.
+
+    Raises:
+        RunError: If it is damaged, or of another format.
+    """
+    manifest = read_manifest(path)
+    if manifest.get("format") != FORMAT:
+        raise RunError(
+            f"{path} has format {manifest.get('format')!r}, written by gctd3 "
+            f"{manifest.get('versions', {}).get('gctd3')!r}; gctd3 {gctd3.__version__} reads format {FORMAT}."
+        )
+    for name, seal in manifest["files"].items():
+        check_file(path / name, seal)
+    return manifest
 
 
 def load_policy(run: str | Path) -> TensorDictModuleBase:
@@ -129,9 +223,19 @@ def load_policy(run: str | Path) -> TensorDictModuleBase:
         A module that reads ``"nodes"`` ``[*, N, F]`` and writes ``"action"`` ``[*, A]``.
 
     Raises:
-        RunError: If ``run`` is not a run, has no checkpoint, or is of another version.
+        RunError: If ``run`` is not a run, has no policy, or is damaged or of another version.
     """
     settings = load_settings(run)
+    path = Checkpoints(Path(run)).best()
+    checked(path)
     policy = settings.algo.build(settings.architecture()).policy()
-    load_into(Checkpoints(Path(run)).best(), policy=policy)
+    fit(path / POLICY, lambda: policy.load_state_dict(load_tree(path / POLICY)))
     return policy
+
+
+def fit(path: Path, load: Callable[[], object]) -> None:
+    """Call ``load``; what a file holds that does not fit is a :class:`RunError` that names the file."""
+    try:
+        load()
+    except (RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+        raise RunError(f"{path} does not fit the run's configuration: {error}") from error

@@ -19,6 +19,10 @@ class RunError(GCTD3Error, ValueError):
     """A run directory or checkpoint is missing, incomplete or of another version."""
 
 
+class NumericalError(GCTD3Error, ArithmeticError):
+    """A number is NaN or infinite where it must not be."""
+
+
 class RenderError(GCTD3Error, RuntimeError):
     """Nothing can be drawn here."""
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +26,6 @@ from gctd3.settings import build
 
 # Table 5 of the paper, column GCTD3. Its body position seems to count from the spawn height, 0.0235 m above standing.
 PAPER = {"return_mean": 380.0, "return_std": 18.47, "velocity_mean": 1.414, "body_position_mean": -0.0202}
-PACKAGES = ("gctd3", "torch", "torchrl", "tensordict", "mujoco", "dm-control", "numpy")
 LAST_METRES = 10.0  # over which gaits are judged, so that the start does not count
 
 
@@ -187,7 +185,8 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     Raises:
         RunError: If the directory is not a run, or one of another version.
     """
-    from gctd3.checkpoint import load_policy, load_settings
+    from gctd3.checkpoint import load_policy, versions
+    from gctd3.run_config import load_settings
 
     run = Path(settings.run)
     trained = load_settings(run)
@@ -200,7 +199,7 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
         **result.summary(),
         "gait": result.gait(),
         "seeds": {"training": trained.seed, "evaluation": settings.seed},
-        "versions": {package: version(package) for package in PACKAGES},
+        "versions": versions(),
     }
     (run / "evaluation.json").write_text(json.dumps(_finite(report), indent=2) + "\n", encoding="utf-8")
     return report

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import torch
@@ -54,6 +55,7 @@ class FrameBuffer:
         self._last: dict[str, Tensor] = {}
         self._free: list[int] = []
         self.head = self.rows = self.filled = self.robots = 0
+        self.total = 0  # rows ever appended
 
     def _allocate(self, step: TensorDictBase) -> None:
         self.robots = step.shape[0]
@@ -118,6 +120,7 @@ class FrameBuffer:
             self._last["counters"][places] = following["counters"][ended]
         self.head = (row + 1) % self.rows
         self.filled = min(self.filled + 1, self.rows)
+        self.total += 1
 
     def _places(self, count: int) -> list[int]:
         size = len(self._last["nodes"])
@@ -213,19 +216,57 @@ class FrameBuffer:
         return table.index_select(0, place.clamp(min=0))
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that is stored."""
+        """Everything but the rows themselves, which :meth:`rows_between` gives."""
         return {
-            "ring": dict(self._ring),
+            "total": self.total,
+            "robots": self.robots,
             "last": dict(self._last),
             "free": list(self._free),
-            "head": self.head,
-            "filled": self.filled,
         }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore :meth:`state_dict`."""
-        self._ring, self._last = dict(state["ring"]), dict(state["last"])
-        self._free, self.head, self.filled = list(state["free"]), int(state["head"]), int(state["filled"])
-        if self._ring:
-            self.rows, self.robots = self._ring["last"].shape
-            self._flat = {key: values.flatten(0, 1) for key, values in self._ring.items()}
+    def rows_between(self, start: int, stop: int) -> dict[str, Tensor]:
+        """Rows ``start`` to ``stop - 1`` of all that were ever appended, shapes ``[stop - start, robots, ...]``.
+
+        Raises:
+            ValueError: If some are no longer, or not yet, in the ring.
+        """
+        if not self.total - self.filled <= start <= stop <= self.total:
+            raise ValueError(f"The ring holds rows {self.total - self.filled} to {self.total}, not {start} to {stop}.")
+        index = torch.arange(start, stop, device=self.device) % self.rows
+        return {key: values[index] for key, values in self._ring.items()}
+
+    def load_state_dict(self, state: dict[str, Any], rows: Iterable[tuple[int, dict[str, Tensor]]]) -> None:
+        """Restore :meth:`state_dict`.
+
+        Args:
+            state: The state.
+            rows: The number of the first row and the rows, in order, of every part that was kept.
+
+        Raises:
+            ValueError: If rows are missing.
+        """
+        self._ring, self.head, self.filled, self.total = {}, 0, 0, int(state["total"])
+        self._last = {key: value.to(self.device) for key, value in state["last"].items()}
+        self._free = list(state["free"])
+        if not self.total:
+            return
+        self.robots = int(state["robots"])
+        self.rows = self.capacity // self.robots
+        oldest = max(0, self.total - self.rows)
+        covered = oldest
+        for start, part in rows:
+            stop = start + len(part["last"])
+            if start > covered or stop <= covered:
+                raise ValueError(f"Row {covered} of the replay is missing; the next part has {start} to {stop}.")
+            if not self._ring:
+                for key, values in part.items():
+                    fill = -1 if key == "last" else 0
+                    self._ring[key] = values.new_full((self.rows, *values.shape[1:]), fill, device=self.device)
+            index = torch.arange(covered, stop) % self.rows
+            for key, values in part.items():
+                self._ring[key][index] = values[covered - start :].to(self.device)
+            covered = stop
+        if covered != self.total:
+            raise ValueError(f"Rows {covered} to {self.total} of the replay are missing.")
+        self.head, self.filled = self.total % self.rows, min(self.total, self.rows)
+        self._flat = {key: values.flatten(0, 1) for key, values in self._ring.items()}

@@ -152,7 +152,8 @@ def render_run(settings: RenderSettings) -> Path:
     Returns:
         The file written.
     """
-    from gctd3.checkpoint import load_policy, load_settings
+    from gctd3.checkpoint import load_policy
+    from gctd3.run_config import load_settings
 
     trained = load_settings(settings.run)
     robot = trained.load_robot()

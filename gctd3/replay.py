@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs.transforms import MultiStepTransform, Transform
@@ -139,6 +140,13 @@ class Replay:
         """Remember ``collected``, batch size ``[robots, time]``."""
         self.buffer.extend(collected)
 
+    def load_state_dict(self, state: dict[str, Any], rows: Iterable[tuple[int, dict[str, Tensor]]]) -> None:
+        """Restore what the buffer's ``state_dict`` gave, and of a :class:`.FrameBuffer` the rows that were kept."""
+        if isinstance(self.buffer, FrameBuffer):
+            self.buffer.load_state_dict(state, rows)
+        else:
+            self.buffer.load_state_dict(state)
+
     def sample(self) -> TensorDictBase:
         """A batch of ``settings.batch_size`` transitions."""
         batch = self.buffer.sample()
@@ -187,3 +195,22 @@ class StackedBuffer:
     def sample(self) -> TensorDictBase:
         """A batch drawn uniformly."""
         return self.torchrl.sample()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that is stored."""
+        waiting = self._steps._buffer if self._steps is not None else None
+        return {
+            "stored": self.torchrl[:].to_dict() if len(self) else None,
+            "writer": dict(self.torchrl.writer.state_dict()),
+            "waiting": None if waiting is None else waiting.to_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`state_dict`."""
+        self.torchrl.empty()
+        if state["stored"] is not None:
+            stored = TensorDict(state["stored"])
+            self.torchrl.extend(stored.auto_batch_size_(1))
+        self.torchrl.writer.load_state_dict(state["writer"])
+        if self._steps is not None and state["waiting"] is not None:
+            self._steps._buffer = TensorDict(state["waiting"]).auto_batch_size_(2)

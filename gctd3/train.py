@@ -1,52 +1,71 @@
-"""Train a policy: ``python -m gctd3.train algo=gctd3``."""
+"""Train a policy: ``python -m gctd3.train algo=gctd3``; continue one: ``python -m gctd3.train resume=DIR``."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from gctd3.cli import command
+from gctd3.errors import RunError
+from gctd3.interrupt import StopRequest, only_one
+from gctd3.run_config import CONFIG, changed, save_config
 from gctd3.settings import build
-
-INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
 
 
 def train(config: DictConfig) -> None:
     """Check the configuration, train, say what was reached."""
-    # Imported late, so that --help and a mistyped key are answered at once.
-    from gctd3.trainer import Trainer
-
+    resumed, overrides = config.resume is not None, list(HydraConfig.get().overrides.task)
+    run = Path(str(config.resume)) if resumed else Path(HydraConfig.get().runtime.output_dir)
+    if resumed:
+        if not (run / CONFIG).is_file():
+            raise RunError(f"resume={run}: there is no run to continue; a run has a {CONFIG}.")
+        config, overrides = changed(run, "config", overrides)
     settings = build(config)
-    directory = Path(HydraConfig.get().runtime.output_dir)
-    trainer = Trainer(settings, directory)
-    OmegaConf.resolve(config)
-    OmegaConf.save(config, directory / ".hydra" / "config.yaml")
-    print(OmegaConf.to_yaml(config))
-    print(f"Run directory: {directory}\n", flush=True)
-    interrupted = False
-    try:
-        trainer.run()
-    except KeyboardInterrupt:
-        interrupted = True
-        print("\nInterrupted; the best policy so far is kept.")
-    best = trainer.best
+    # Imported late, so that --help and a wrong setting are answered at once.
+    from gctd3.trainer import Trainer, refuse_a_run
+
+    stop = StopRequest()
+    with only_one(run), stop.listening():
+        if not resumed:
+            refuse_a_run(run)
+        trainer = Trainer(settings, run, {"config": OmegaConf.to_container(config, resolve=True)})
+        if resumed and not trainer.restore():
+            print(f"{run} has no checkpoint yet: it starts from the beginning.")
+        save_config(run, config, overrides)
+        print(OmegaConf.to_yaml(config))
+        print(f"Run directory: {run}\n", flush=True)
+        if trainer.finished:
+            raise RunError(
+                f"{run} is finished after {trainer.counters.frames:,} steps. To train on, raise total_frames, and "
+                "stop_when.evaluations or stop_when.evaluations=null if its conditions ended it."
+            )
+        trainer.run(stop)
+    print(_summary(trainer.best, run))
+    if stop:
+        print(f"Continue it:  python -m gctd3.train resume={run}")
+        raise SystemExit(stop.exit_code)
+
+
+def _summary(best: dict[str, float] | None, run: Path) -> str:
     if best is None:
-        print("It had not been evaluated yet, so there is none.")
-        raise SystemExit(INTERRUPTED)
-    print(
+        return "\nIt has not been evaluated yet, so there is no policy to judge."
+    return (
         f"\nBest evaluation, after {best['frames']:,.0f} steps and {best['wall_s'] / 60:.1f} minutes: "
         f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}, success {best['success_rate']:.0%}, "
         f"{best['distance_mean']:.1f} m at {best['velocity_mean']:.2f} m/s.\n"
-        f"Judge it over 50 episodes:  python -m gctd3.evaluate run={directory} episodes=50"
+        f"Judge it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
     )
-    if interrupted:
-        raise SystemExit(INTERRUPTED)
 
 
 def main() -> None:
     """Entry point of ``python -m gctd3.train``."""
+    resumed = [argument.split("=", 1)[1] for argument in sys.argv[1:] if argument.startswith("resume=")]
+    if resumed and resumed[-1] not in ("null", ""):
+        # Hydra's own directory is the run's, so that nothing is written elsewhere.
+        sys.argv.append(f"hydra.run.dir={resumed[-1]}")
     command("config", train)
 
 

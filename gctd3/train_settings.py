@@ -34,6 +34,7 @@ COLUMNS = (
     "hip_correlation",
     "stride_hz",
     "flight_fraction",
+    "diverged",
 )
 
 
@@ -138,7 +139,9 @@ class TrainSettings:
         device: That networks and replay live on, ``cpu``, ``cuda`` or ``cuda:0`` and so on; robots are on the CPU.
         threads: Of PyTorch; its own default if ``None``.
         logger: Where curves go, besides ``progress.csv``.
-        keep_checkpoints: Newest checkpoints to keep, besides the best.
+        keep_checkpoints: Newest checkpoints to keep, besides the best policy.
+        checkpoint_every: Seconds between them, at least; more if writing them would take over 3 % of the time.
+        resume: Directory of the run that this continues.
     """
 
     robot: RobotSettings
@@ -158,7 +161,9 @@ class TrainSettings:
     device: str = "cpu"
     threads: int | None = None
     logger: Literal["csv", "tensorboard", "wandb", "mlflow", "none"] = "tensorboard"
-    keep_checkpoints: int = 1
+    keep_checkpoints: int = 2
+    checkpoint_every: float = 30.0
+    resume: str | None = None
 
     def __post_init__(self) -> None:
         for name in ("total_frames", "steps", "updates", "keep_checkpoints"):
@@ -166,6 +171,8 @@ class TrainSettings:
                 raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
         if self.total_episodes is not None and self.total_episodes < 1:
             raise ConfigError(f"total_episodes must be at least 1, or null, got {self.total_episodes}.")
+        if not self.checkpoint_every > 0:
+            raise ConfigError(f"checkpoint_every must be above 0 s, got {self.checkpoint_every}.")
         check_seed("seed", self.seed)
         check_device(self.device)
         if self.threads is not None and self.threads < 1:

@@ -1,31 +1,59 @@
-"""Training: collect, remember, update, evaluate, keep the best."""
+"""Training: collect, remember, update, evaluate, keep the best, and be able to go on later."""
 
 from __future__ import annotations
 
-import csv
 import logging
 import math
+import random
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
+from tensordict import TensorDictBase
 from torchrl import torchrl_logger
-from torchrl.collectors import Collector
-from torchrl.record.loggers import Logger, get_logger
 from tqdm import tqdm
 
-from gctd3.checkpoint import Checkpoints
+from gctd3.checkpoint import FOLDER, STATE, Checkpoints, fit
+from gctd3.collector import InlineCollector
 from gctd3.device import pick_device
 from gctd3.envs.factory import build_env
-from gctd3.errors import ConfigError, RunError
+from gctd3.errors import NumericalError, RunError
 from gctd3.evaluate import evaluate
 from gctd3.exploration import Explorer
+from gctd3.faults import check_collected, check_losses
+from gctd3.files import new_directory, save_tree, write_manifest
+from gctd3.interrupt import StopRequest
 from gctd3.replay import Mirror, Replay
-from gctd3.train_settings import COLUMNS, TrainSettings
+from gctd3.run_log import PROGRESS, RunLog
+from gctd3.train_settings import TrainSettings
 
-PROGRESS = "progress.csv"
+MOST_TIME = 0.03  # share of the wall-clock that checkpoints may take
+POST_MORTEM = "post_mortem"
+
+
+@dataclass
+class Counters:
+    """Where a training is.
+
+    Attributes:
+        frames: Control steps of single robots so far.
+        episodes: Episodes that ended.
+        diverged: Episodes that ended because the simulation did not stay finite.
+        in_a_row: Evaluations in a row that met all conditions.
+        next_evaluation: Frames at which the next one is due.
+        wall_s: Seconds spent, in all sessions together.
+    """
+
+    frames: int = 0
+    episodes: int = 0
+    diverged: int = 0
+    in_a_row: int = 0
+    next_evaluation: int = 0
+    wall_s: float = 0.0
 
 
 class Trainer:
@@ -34,20 +62,21 @@ class Trainer:
     Args:
         settings: What to do.
         directory: Where to write.
+        about: What the manifests of checkpoints say besides.
 
-    Raises:
-        RunError: If the directory holds a run already.
+    Attributes:
+        best: Metrics of the best evaluation so far.
     """
 
-    def __init__(self, settings: TrainSettings, directory: Path) -> None:
-        if (directory / PROGRESS).exists():
-            raise RunError(f"{directory} holds a run already: choose another hydra.run.dir.")
+    def __init__(self, settings: TrainSettings, directory: Path, about: Mapping[str, Any] | None = None) -> None:
         self.settings, self.directory = settings, directory
         # Its notices of every storage and transform would break into the progress bar.
         torchrl_logger.setLevel(logging.WARNING)
         if settings.threads is not None:
             torch.set_num_threads(settings.threads)
         # Before the networks, so that their initial weights are the seed's.
+        random.seed(settings.seed)
+        np.random.seed(settings.seed)
         torch.manual_seed(settings.seed)
         self.robot = settings.load_robot()
         self.device = pick_device(settings.device)
@@ -56,116 +85,206 @@ class Trainer:
         self.explorer = Explorer(self.algorithm.actor, self.robot, env.num_envs, settings.exploration, env.control_dt)
         mirror = Mirror(self.robot, env.history) if settings.replay.mirror else None
         self.replay = Replay(settings.replay, settings.algo.gamma, env.history, mirror, self.device)
-        self.env = build_env(self.robot, env, settings.reward, settings.seed)
+        training_env = build_env(self.robot, env, settings.reward, settings.seed)
+        self.collector = InlineCollector(training_env, self.explorer, settings.steps)
         judged = replace(env, backend="batched", num_envs=settings.evaluation.episodes)
         self.evaluation_env = build_env(self.robot, judged, settings.evaluation.reward, settings.evaluation.seed)
-        self.checkpoints = Checkpoints(directory, settings.keep_checkpoints)
-        self.logger = make_logger(settings.logger, directory)
+        graph = settings.architecture().graph
+        said = {"graph": {"nodes": graph.nodes, "edges": graph.edges}, **(about or {})}
+        self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, said)
+        self.log = RunLog(directory, settings.logger)
+        self.counters = Counters(next_evaluation=max(settings.evaluation.every, settings.exploration.warmup_frames))
         self.best: dict[str, float] | None = None
+        self._clock = time.monotonic()
+        self._next_save = settings.checkpoint_every
 
-    def run(self) -> dict[str, float]:
-        """Train.
+    @property
+    def finished(self) -> bool:
+        """Whether all frames or episodes are there, or enough evaluations in a row showed what they have to."""
+        settings, now = self.settings, self.counters
+        reached = settings.stop_when.evaluations is not None and now.in_a_row >= settings.stop_when.evaluations
+        return reached or self._spent
+
+    @property
+    def _spent(self) -> bool:
+        settings, now = self.settings, self.counters
+        batch = settings.env.num_envs * settings.steps
+        return now.frames + batch > settings.total_frames or now.episodes >= (settings.total_episodes or math.inf)
+
+    def run(self, stop: StopRequest | None = None) -> dict[str, float] | None:
+        """Train until it is finished or ``stop`` is set.
 
         Returns:
-            The metrics of the best evaluation.
+            The metrics of the best evaluation; ``None`` if there was none.
+
+        Raises:
+            NumericalError: If an observation, action, reward or loss is not finite.
+            RunError: If a checkpoint cannot be written.
         """
-        settings = self.settings
-        batch_frames = settings.env.num_envs * settings.steps
-        collector = Collector(
-            self.env,
-            self.explorer,
-            frames_per_batch=batch_frames,
-            total_frames=settings.total_frames // batch_frames * batch_frames,
-        )
-        # The collector tries the policy once on made-up data; that was no frame.
-        self.explorer.frames.zero_()
-        began, frames, episodes, in_a_row = time.monotonic(), 0, 0, 0
-        next_evaluation = max(settings.evaluation.every, settings.exploration.warmup_frames)
-        with tqdm(
-            total=settings.total_frames,
+        self._clock = time.monotonic()
+        bar = tqdm(
+            total=self.settings.total_frames,
+            initial=self.counters.frames,
             unit=" steps",
             unit_scale=True,
             smoothing=0.05,
             mininterval=0.5,
             dynamic_ncols=True,
-        ) as bar:
-            for collected in collector:
-                frames += collected.numel()
-                episodes += int(collected["next", "done"].sum())
-                self.replay.extend(collected)
-                learning = not self.explorer.warming_up and self.replay.ready
-                for _ in range(settings.updates if learning else 0):
-                    metrics = self.algorithm.update(self.replay.sample())
-                bar.update(collected.numel())
-                last = frames >= collector.total_frames or episodes >= (settings.total_episodes or math.inf)
-                if frames < next_evaluation and not last:
-                    continue
-                next_evaluation += settings.evaluation.every
-                row = self._evaluate(frames, time.monotonic() - began)
-                if learning:
-                    row_metrics = {f"train/{name}": float(value) for name, value in metrics.items()}
-                    self._log(row_metrics, frames)
-                bar.set_postfix(self._postfix(row), refresh=True)
-                in_a_row = in_a_row + 1 if settings.stop_when.all_reached(row) else 0
-                if last or in_a_row == settings.stop_when.evaluations:
-                    break
-        collector.shutdown()
-        if self.best is None:
-            raise RuntimeError("The training ended without an evaluation.")
+        )
+        with bar:
+            while not self.finished and not stop:
+                self._iterate(bar)
+                if self._wall() >= self._next_save:
+                    self.save()
+            self.save()
         return self.best
 
-    def _evaluate(self, frames: int, wall: float) -> dict[str, float]:
-        settings = self.settings
+    def _iterate(self, bar: tqdm[Any]) -> None:
+        """Collect, update, and evaluate if it is time."""
+        settings, now = self.settings, self.counters
+        seen: dict[str, TensorDictBase] = {}
+        try:
+            seen["collected"] = collected = self.collector.collect()
+            check_collected(collected)
+            self.replay.extend(collected)
+            metrics = {}
+            if not self.explorer.warming_up and self.replay.ready:
+                for _ in range(settings.updates):
+                    seen["batch"] = self.replay.sample()
+                    metrics = self.algorithm.update(seen["batch"])
+                check_losses(metrics)
+        except NumericalError as error:
+            raise self._post_mortem(error, seen) from error
+        now.frames += collected.numel()
+        now.episodes += int(collected["next", "done"].sum())
+        now.diverged += int(collected["next", "diverged"].sum())
+        bar.update(collected.numel())
+        if now.frames < now.next_evaluation and not self._spent:
+            return
+        now.next_evaluation += settings.evaluation.every
+        row = self._evaluate()
+        self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
+        bar.set_postfix(self._postfix(row), refresh=True)
+        now.in_a_row = now.in_a_row + 1 if settings.stop_when.all_reached(row) else 0
+
+    def _evaluate(self) -> dict[str, float]:
+        settings, now = self.settings, self.counters
         policy = self.algorithm.policy()
         result = evaluate(policy, self.evaluation_env, self.robot, settings.evaluation.seed, settings.env.control_dt)
         metrics: dict[str, float] = {
-            "frames": frames,
+            "frames": now.frames,
             "updates": self.algorithm.updates,
-            "wall_s": round(wall, 2),
+            "wall_s": round(self._wall(), 2),
+            "diverged": now.diverged,
             **result.summary(),
             **{key: value for key, value in result.gait().items() if key != "episodes"},
         }
-        self._write_row(metrics)
-        self._log({f"evaluation/{name}": metrics[name] for name in COLUMNS[3:] if name in metrics}, frames)
-        score = settings.stop_when.score(metrics)
-        self.checkpoints.save(frames, score, metrics, policy=policy, algorithm=self.algorithm, explorer=self.explorer)
-        if self.best is None or score > settings.stop_when.score(self.best):
+        if self.best is None or settings.stop_when.score(metrics) > settings.stop_when.score(self.best):
+            self.checkpoints.save_best(now.frames, policy, metrics)
             self.best = metrics
+        self.log.add_row(metrics)
         return metrics
 
-    def _write_row(self, metrics: Mapping[str, float]) -> None:
-        file = self.directory / PROGRESS
-        new = not file.exists()
-        with file.open("a", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, COLUMNS, extrasaction="ignore", restval="")
-            if new:
-                writer.writeheader()
-            writer.writerow(metrics)
+    def _wall(self) -> float:
+        return self.counters.wall_s + time.monotonic() - self._clock
 
-    def _log(self, metrics: Mapping[str, float], frames: int) -> None:
-        if self.logger is not None:
-            for name, value in metrics.items():
-                self.logger.log_scalar(name, value, step=frames)
+    # What is kept, and going on from it.
+
+    def save(self) -> None:
+        """Write a checkpoint."""
+        began = time.monotonic()
+        self.checkpoints.save(self.counters.frames, self.state_dict(), self.replay.buffer)
+        cost = time.monotonic() - began
+        self._next_save = self._wall() + max(self.settings.checkpoint_every, cost / MOST_TIME)
+
+    def restore(self) -> bool:
+        """Go on from the newest checkpoint that is whole.
+
+        Returns:
+            Whether there was one; without, the training starts from its beginning.
+
+        Raises:
+            RunError: If all are damaged, or do not fit the settings.
+        """
+        found = self.checkpoints.newest()
+        if found is None:
+            self.checkpoints.forget_after(-1)
+            self.log.restore([], -1)
+            return False
+        state, rows = found
+        path = self.directory / FOLDER / STATE
+        fit(path, lambda: self.replay.load_state_dict(state.pop("replay"), rows))
+        fit(path, lambda: self.load_state_dict(state))
+        self.checkpoints.forget_after(self.counters.frames)
+        return True
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that the rest of the training depends on, but the replay."""
+        cuda = torch.cuda.get_rng_state_all() if self.device.type == "cuda" else []
+        return {
+            "counters": {**asdict(self.counters), "wall_s": self._wall()},
+            "best": self.best,
+            "rows": self.log.rows,
+            "algorithm": self.algorithm.state_dict(),
+            "explorer": self.explorer.state_dict(),
+            "collector": self.collector.state_dict(),
+            "random": {
+                "python": random.getstate(),
+                "numpy": [item.tolist() if isinstance(item, np.ndarray) else item for item in np.random.get_state()],
+                "torch": torch.get_rng_state(),
+                "cuda": cuda,
+            },
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`state_dict`."""
+        self.counters = Counters(**state["counters"])
+        self.best = state["best"]
+        self.log.restore(state["rows"], self.counters.frames)
+        self.algorithm.load_state_dict(state["algorithm"])
+        self.explorer.load_state_dict(state["explorer"])
+        self.collector.load_state_dict(state["collector"])
+        generators = state["random"]
+        version, words, gauss = generators["python"]
+        random.setstate((version, tuple(words), gauss))
+        name, keys, *rest = generators["numpy"]
+        np.random.set_state((name, np.array(keys, dtype=np.uint32), *rest))
+        torch.set_rng_state(generators["torch"])
+        if self.device.type == "cuda" and generators["cuda"]:
+            torch.cuda.set_rng_state_all(generators["cuda"])
+        self._clock = time.monotonic()
+        self._next_save = self._wall() + self.settings.checkpoint_every
+
+    def _post_mortem(self, error: NumericalError, seen: Mapping[str, TensorDictBase]) -> NumericalError:
+        """Keep what is needed to find the cause; the error that says where."""
+        target = self.directory / POST_MORTEM
+        said = f"After {self.counters.frames:,} steps and {self.algorithm.updates:,} updates, {error}."
+        if target.exists():
+            return NumericalError(f"{said} {target} holds what an earlier one left.")
+        with new_directory(target) as aside:
+            for name, batch in seen.items():
+                save_tree(aside / f"{name}.safetensors", batch.to_dict())
+            save_tree(aside / STATE, self.state_dict())
+            write_manifest(aside, {"error": said})
+        return NumericalError(
+            f"{said} The last batch and the whole state are in {target} (gctd3.files.load_tree reads them). "
+            "The newest checkpoint is of an earlier moment; try a lower algo.learning_rate."
+        )
 
     def _postfix(self, row: Mapping[str, float]) -> dict[str, str]:
         best = self.best if self.best is not None else row
-        return {
+        shown = {
             "updates/s": f"{row['updates'] / max(row['wall_s'], 1e-9):.0f}",
             "return": f"{row['return_mean']:.0f}",
             "success": f"{row['success_rate']:.0%}",
             "best": f"{best['return_mean']:.0f}",
         }
+        return {**shown, "diverged": str(self.counters.diverged)} if self.counters.diverged else shown
 
 
-def make_logger(kind: str, directory: Path) -> Logger | None:
-    """A TorchRL logger that writes below ``directory``.
-
-    Raises:
-        ConfigError: If its package is not installed.
-    """
-    if kind == "none":
-        return None
-    try:
-        return get_logger(kind, logger_name=str(directory), experiment_name=kind)
-    except (ImportError, ModuleNotFoundError) as error:
-        raise ConfigError(f"logger={kind} needs its package: pip install 'gctd3[{kind}]' ({error}).") from error
+def refuse_a_run(directory: Path) -> None:
+    """Raise a :class:`.RunError` if a training has written to ``directory``."""
+    if (directory / PROGRESS).exists() or (directory / FOLDER).exists():
+        raise RunError(
+            f"{directory} holds a run already: choose another hydra.run.dir, or continue it with resume={directory}."
+        )

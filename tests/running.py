@@ -33,23 +33,23 @@ class Recorded(Trainer):
 
     last = None
 
-    def __init__(self, settings, directory):
-        super().__init__(settings, directory)
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
         self.policies = {}
         Recorded.last = self
 
-    def _evaluate(self, frames, wall):
-        self.policies[frames] = copy.deepcopy(self.algorithm.policy())
-        return super()._evaluate(frames, wall)
+    def _evaluate(self):
+        self.policies[self.counters.frames] = copy.deepcopy(self.algorithm.policy())
+        return super()._evaluate()
 
 
-def command(name, *arguments):
+def command(name, *arguments, trainer=None):
     """``python -m gctd3.NAME ARGUMENTS`` in this process; its exit code."""
     with pytest.MonkeyPatch.context() as patch:
         # Hydra's logging would close the streams of the handlers that are there, and absl's has pytest's.
         quiet = ["hydra/job_logging=none", "hydra/hydra_logging=none"]
         patch.setattr(sys, "argv", [f"gctd3.{name}", *map(str, arguments), *quiet])
-        patch.setattr(trainer_module, "Trainer", Recorded)
+        patch.setattr(trainer_module, "Trainer", trainer or Recorded)
         try:
             importlib.import_module(f"gctd3.{name}").main()
         except SystemExit as end:

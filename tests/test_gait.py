@@ -182,12 +182,13 @@ def test_shaping_of_one_step(robot):
     [
         (10, (True, False), 2.0 * (0.25 - 0.20)),
         (5, (True, False), 2.0 * (0.25 - 0.10)),
-        (30, (True, False), 0.0),
+        (15, (True, False), 0.0),
+        (30, (True, False), 2.0 * (0.60 - 0.35)),
         (10, (True, True), 2 * 2.0 * (0.25 - 0.20)),
     ],
 )
-def test_too_short_a_time_in_the_air_costs_at_touchdown(robot, steps_in_air, landing, cost):
-    task = WalkingTask(robot, Reward(air_time=2.0, air_time_target=0.25))
+def test_a_time_in_the_air_out_of_bounds_costs_at_touchdown(robot, steps_in_air, landing, cost):
+    task = WalkingTask(robot, Reward(air_time=2.0, air_time_least=0.25, air_time_most=0.35))
     down, up = sense(feet=(True, True)), sense(feet=(False, False))
     _, outcomes = walk(task, down, *[up] * steps_in_air, sense(feet=landing), sense(feet=landing))
     paid = [float(o.terms["air_time"]) for o in outcomes]

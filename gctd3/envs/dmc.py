@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import collections
 import warnings
+from typing import Any
 
 import dm_env
+import mujoco as mujoco_api
 import numpy as np
 from dm_env import specs
 from torchrl.envs import DMControlWrapper
 
-from gctd3.envs.gait import FEATURES, Measurement, Outcome, Progress, WalkingTask
+from gctd3.envs.gait import FEATURES, Measurement, Outcome, Progress, WalkingTask, from_dict, to_dict
 from gctd3.envs.simulation import Start, substeps_of
 
 with warnings.catch_warnings():
@@ -19,6 +21,8 @@ with warnings.catch_warnings():
     from dm_control import mujoco
     from dm_control.rl import control
     from dm_control.suite import base
+
+STATE = mujoco_api.mjtState.mjSTATE_INTEGRATION.value
 
 
 class Physics(mujoco.Physics):
@@ -80,6 +84,10 @@ class Walk(base.Task):
         self._now = physics.measure(self.task)
         self._progress, self._outcome = self.task.advance(self._progress, self._now)
 
+    def diverge(self) -> None:
+        """Judge a step whose simulation failed: the robot stays where it was, and the episode ends as by a fall."""
+        self._progress, self._outcome = self.task.advance(self._progress, self._now, np.array(True))
+
     def get_observation(self, physics: Physics) -> collections.OrderedDict[str, np.ndarray]:
         """The nodes' features, the endings' counters, the distance walked (m) and whether it was won."""
         won = self._outcome is not None and bool(self._outcome.success)
@@ -88,6 +96,7 @@ class Walk(base.Task):
             counters=self.task.counters(self._progress),
             position=np.array([self._now.position], dtype=np.float32),
             success=np.array([won]),
+            diverged=np.array([self._outcome is not None and bool(self._outcome.diverged)]),
         )
 
     def get_reward(self, physics: Physics) -> float:
@@ -99,6 +108,15 @@ class Walk(base.Task):
         if self.outcome.terminated:
             return 0.0
         return 1.0 if self.outcome.truncated else None
+
+    def state_dict(self) -> dict[str, Any]:
+        """What the task remembers of the episode."""
+        return {"now": to_dict(self._now), "progress": to_dict(self._progress)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`state_dict`."""
+        self._now = from_dict(Measurement, state["now"])
+        self._progress = from_dict(Progress, state["progress"])
 
     @property
     def outcome(self) -> Outcome:
@@ -123,6 +141,7 @@ class WalkEnvironment(control.Environment):
             counters=specs.Array((task.num_counters,), np.float32, "counters"),
             position=specs.Array((1,), np.float32, "position"),
             success=specs.Array((1,), bool, "success"),
+            diverged=specs.Array((1,), bool, "diverged"),
         )
 
     def step(self, action: np.ndarray) -> dm_env.TimeStep:
@@ -135,7 +154,42 @@ class WalkEnvironment(control.Environment):
         values = np.asarray(action, dtype=np.float64)
         if values.shape != expected or not np.isfinite(values).all():
             raise ValueError(f"An action must be finite and of shape {expected}, got {action}.")
-        return super().step(values)
+        try:
+            return super().step(values)
+        except control.PhysicsError:
+            walk: Walk = self.task
+            walk.diverge()
+            self._reset_next_step = True
+            observation = walk.get_observation(self.physics)
+            return dm_env.TimeStep(dm_env.StepType.LAST, walk.get_reward(self.physics), 0.0, observation)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that the next steps depend on, but the actions."""
+        walk: Walk = self.task
+        name, keys, position, has_gauss, cached = walk.random.get_state()
+        return {
+            "physics": self._simulator_state(),
+            "reset_next_step": self._reset_next_step,
+            "steps": self._step_count,
+            "random": [name, keys.tolist(), position, has_gauss, cached],
+            **walk.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`state_dict`."""
+        model, data = self.physics.model.ptr, self.physics.data.ptr
+        mujoco_api.mj_setState(model, data, np.array(state["physics"]), STATE)
+        mujoco_api.mj_forward(model, data)
+        self._reset_next_step, self._step_count = state["reset_next_step"], state["steps"]
+        name, keys, position, has_gauss, cached = state["random"]
+        self.task.random.set_state((name, np.array(keys, dtype=np.uint32), position, has_gauss, cached))
+        self.task.load_state_dict(state)
+
+    def _simulator_state(self) -> np.ndarray:
+        model, data = self.physics.model.ptr, self.physics.data.ptr
+        state = np.empty(mujoco_api.mj_stateSize(model, STATE))
+        mujoco_api.mj_getState(model, data, state, STATE)
+        return state
 
 
 def load(

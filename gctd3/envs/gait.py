@@ -7,6 +7,7 @@ Stage three of the data flow, shared by every backend. All functions take arrays
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import TypeVar
 
@@ -80,6 +81,21 @@ def put(whole: Arrays, robots: np.ndarray, part: Arrays) -> Arrays:
     return type(whole)(**merged)
 
 
+def take(whole: Arrays, robots: np.ndarray) -> Arrays:
+    """The rows ``robots`` of arrays of shape ``[N, ...]``."""
+    return type(whole)(**{field.name: getattr(whole, field.name)[robots] for field in fields(whole)})
+
+
+def to_dict(arrays: Measurement | Progress) -> dict[str, np.ndarray]:
+    """Copies of the arrays, by name."""
+    return {field.name: getattr(arrays, field.name).copy() for field in fields(arrays)}
+
+
+def from_dict(kind: type[Arrays], values: Mapping[str, np.ndarray]) -> Arrays:
+    """What :func:`to_dict` was given; ``kind`` is its class."""
+    return kind(**{field.name: np.array(values[field.name]) for field in fields(kind)})
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What a step was worth and whether it ended the episode; every array has shape ``[*]``.
@@ -89,12 +105,14 @@ class Outcome:
         terminated: The robot fell, stood too long on a foot or kept a hip too long on one side.
         truncated: It reached the finish or the time limit (and did not terminate).
         success: It reached the finish (and did not terminate).
+        diverged: The simulation failed.
     """
 
     terms: dict[str, np.ndarray]
     terminated: np.ndarray
     truncated: np.ndarray
     success: np.ndarray
+    diverged: np.ndarray
 
     @property
     def reward(self) -> np.ndarray:
@@ -198,8 +216,16 @@ class WalkingTask:
             hip_positive=now.angles[..., self.hips] >= 0.0,
         )
 
-    def advance(self, before: Progress, now: Measurement) -> tuple[Progress, Outcome]:
-        """One control step: the memory after it, and its outcome."""
+    def advance(
+        self, before: Progress, now: Measurement, diverged: np.ndarray | None = None
+    ) -> tuple[Progress, Outcome]:
+        """One control step: the memory after it, and its outcome.
+
+        Args:
+            before: The memory before the step.
+            now: What is measured after it.
+            diverged: Whether the simulation failed, shape ``[*]``, which counts as a fall; nowhere if ``None``.
+        """
         hip_positive = now.angles[..., self.hips] >= 0.0
         after = Progress(
             step=before.step + 1,
@@ -211,11 +237,12 @@ class WalkingTask:
             hip_steps=np.where(hip_positive == before.hip_positive, before.hip_steps + 1, 1),
             hip_positive=hip_positive,
         )
-        return after, self._outcome(before, after, now)
+        failed = diverged if diverged is not None else np.zeros(now.position.shape, dtype=bool)
+        return after, self._outcome(before, after, now, failed)
 
-    def _outcome(self, before: Progress, after: Progress, now: Measurement) -> Outcome:
+    def _outcome(self, before: Progress, after: Progress, now: Measurement, diverged: np.ndarray) -> Outcome:
         w, end = self.reward, self.endings
-        fell = (now.height < end.fall_height) | now.other_down
+        fell = (now.height < end.fall_height) | now.other_down | diverged
         long_contact = _longer_than(after.contact_steps, end.contact_steps)
         stuck_hip = _longer_than(after.hip_steps, end.hip_steps)
 
@@ -240,14 +267,15 @@ class WalkingTask:
         if w.overspeed:
             terms["overspeed"] = -w.overspeed * np.maximum(now.velocity - w.overspeed_from, 0.0)
         if w.air_time:
-            short = np.maximum(w.air_time_target - before.air_steps * self.control_dt, 0.0)
+            in_air = before.air_steps * self.control_dt
+            off = np.maximum(w.air_time_least - in_air, 0.0) + np.maximum(in_air - w.air_time_most, 0.0)
             touchdown = now.feet_down & (before.air_steps > 0)
-            terms["air_time"] = -w.air_time * np.where(touchdown, short, 0.0).sum(axis=-1)
+            terms["air_time"] = -w.air_time * np.where(touchdown, off, 0.0).sum(axis=-1)
 
         terminated = fell | long_contact | stuck_hip
         success = (now.position >= end.finish) & ~terminated
         truncated = (success | (after.step >= end.time_limit)) & ~terminated
-        return Outcome(terms, terminated, truncated, success)
+        return Outcome(terms, terminated, truncated, success, diverged)
 
 
 def _push(stack: np.ndarray, newest: np.ndarray, axis: int) -> np.ndarray:

@@ -32,10 +32,11 @@ class Reward:
         single_support: Shaping: bonus for each step with exactly one foot down.
         overspeed: Shaping: punishment per m/s above ``overspeed_from`` (s/m).
         overspeed_from: Forward velocity from which ``overspeed`` counts (m/s).
-        air_time: Shaping: punishment at a foot's touchdown per second that it was shorter in the air than
-            ``air_time_target`` (1/s); after ``feet_air_time`` of Rudin et al. 2022 (arXiv:2109.11978), which also
-            pays for longer times.
-        air_time_target: Time in the air from which a step costs nothing (s).
+        air_time: Shaping: punishment at a foot's touchdown per second that it was in the air for less than
+            ``air_time_least`` or more than ``air_time_most`` (1/s); after ``feet_air_time`` of Rudin et al. 2022
+            (arXiv:2109.11978), which pays for any longer time.
+        air_time_least: Shortest time in the air that costs nothing (s).
+        air_time_most: Longest time in the air that costs nothing (s).
     """
 
     target_velocity: float = 0.9
@@ -55,7 +56,8 @@ class Reward:
     overspeed: float = 0.0
     overspeed_from: float = 1.2
     air_time: float = 0.0
-    air_time_target: float = 0.3
+    air_time_least: float = 0.3
+    air_time_most: float = 0.4
 
     def __post_init__(self) -> None:
         _require_at_least(self, 1, "progress_steps", "frames")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import mujoco.rollout
 import numpy as np
 
-from gctd3.envs.gait import Measurement, Outcome, Progress, WalkingTask, put
+from gctd3.envs.gait import Measurement, Outcome, Progress, WalkingTask, from_dict, put, take, to_dict
 from gctd3.errors import ConfigError
 
 
@@ -112,6 +113,8 @@ class Simulation:
     def step(self, action: np.ndarray) -> Outcome:
         """One control step of every robot; ``action [N, A]`` in [-1, 1] maps affinely onto the servos' ranges.
 
+        A robot whose simulation fails stays where it was, and its episode ends as by a fall.
+
         Raises:
             ValueError: If an action is not finite; MuJoCo would stop that robot without a word.
         """
@@ -119,11 +122,33 @@ class Simulation:
             raise ValueError("Actions must be finite, got NaN or infinity: the policy that chose them has diverged.")
         desired = self._middle + self._half * np.clip(action, -1.0, 1.0)
         control = np.repeat(desired[:, None, :], self.substeps, axis=1)
-        self._pool.rollout(self.model, self._data, self.state, control, state=self._states, sensordata=self._sensors)
-        self.state = self._states[:, -1].copy()
-        self.now = self.task.measure(self.state[:, self._qpos], self.state[:, self._qvel], self._sensors[:, -1].copy())
-        self.progress, outcome = self.task.advance(self.progress, self.now)
+        before, self.state = self.state, self._states[:, -1]
+        self._pool.rollout(self.model, self._data, before, control, state=self._states, sensordata=self._sensors)
+        # MuJoCo starts a robot anew whose state is not finite, its clock too.
+        late = before[:, 0] + self.task.control_dt - self.state[:, 0]
+        diverged = ~(np.abs(late) < self.model.opt.timestep / 2) | ~np.isfinite(self.state).all(axis=-1)
+        self.state = np.where(diverged[:, None], before, self.state)
+        now = self.task.measure(self.state[:, self._qpos], self.state[:, self._qvel], self._sensors[:, -1].copy())
+        robots = np.flatnonzero(diverged)
+        self.now = put(now, robots, take(self.now, robots)) if len(robots) else now
+        self.progress, outcome = self.task.advance(self.progress, self.now, diverged)
         return outcome
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that the next steps depend on, but the actions."""
+        return {
+            "state": self.state.copy(),
+            "now": to_dict(self.now),
+            "progress": to_dict(self.progress),
+            "rng": self.rng.bit_generator.state,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`state_dict`."""
+        self.state = np.array(state["state"])
+        self.now = from_dict(Measurement, state["now"])
+        self.progress = from_dict(Progress, state["progress"])
+        self.rng.bit_generator.state = state["rng"]
 
 
 def substeps_of(control_dt: float, model: mujoco.MjModel) -> int:

@@ -1,0 +1,168 @@
+"""Files that are whole or not there: state as tensors and JSON in one safetensors file, with a checksum.
+
+Nothing here is pickled, so reading a file never runs what it holds.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from gctd3.errors import RunError
+
+MANIFEST = "manifest.json"
+TREE = "tree"  # key of the structure in a file's header
+BLOCK = 1 << 20
+
+
+def save_tree(path: Path, tree: Any) -> str:  # noqa: ANN401 - any nesting
+    """Write nested dicts and lists of tensors, arrays, numbers, texts and ``None``, flushed to the disk.
+
+    Returns:
+        The file's checksum.
+    """
+    tensors: dict[str, torch.Tensor] = {}
+    structure = _pack(tree, "", tensors)
+    save_file(tensors, str(path), metadata={TREE: json.dumps(structure)})
+    _flush(path)
+    return checksum(path)
+
+
+def load_tree(path: Path) -> Any:  # noqa: ANN401
+    """Read what :func:`save_tree` wrote; tuples come back as lists.
+
+    Raises:
+        RunError: If the file is missing or damaged.
+    """
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            structure = json.loads((file.metadata() or {})[TREE])
+            return _unpack(structure, file)
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+        raise RunError(f"{path} cannot be read: {error}") from error
+
+
+def _pack(value: Any, path: str, tensors: dict[str, torch.Tensor]) -> Any:  # noqa: ANN401
+    if isinstance(value, torch.Tensor):
+        tensors[path] = value.detach().to("cpu").contiguous().clone()
+        return {"tensor": path}
+    if isinstance(value, np.ndarray):
+        tensors[path] = torch.from_numpy(np.array(value))
+        return {"array": path}
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Mapping):
+        # Pairs, because keys may be whole numbers, and a mapping may hold "tensor" itself.
+        return {"pairs": [[key, _pack(item, f"{path}/{key}", tensors)] for key, item in value.items()]}
+    if isinstance(value, (list, tuple)):
+        return [_pack(item, f"{path}/{i}", tensors) for i, item in enumerate(value)]
+    return value
+
+
+def _unpack(value: Any, file: Any) -> Any:  # noqa: ANN401
+    if isinstance(value, list):
+        return [_unpack(item, file) for item in value]
+    if not isinstance(value, dict):
+        return value
+    if "pairs" in value:
+        return {key: _unpack(item, file) for key, item in value["pairs"]}
+    if "array" in value:
+        return file.get_tensor(value["array"]).numpy()
+    return file.get_tensor(value["tensor"])
+
+
+@contextmanager
+def new_directory(path: Path) -> Iterator[Path]:
+    """A directory to fill, which gets the name ``path`` only once it is complete and flushed.
+
+    If the block raises, nothing is left of it.
+    """
+    aside = path.with_name(f".{path.name}.tmp")
+    shutil.rmtree(aside, ignore_errors=True)
+    aside.mkdir(parents=True)
+    try:
+        yield aside
+        _flush(aside)
+        os.replace(aside, path)
+    except BaseException:
+        shutil.rmtree(aside, ignore_errors=True)
+        raise
+    _flush(path.parent)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file that is the old one or the new one, never a part of it."""
+    aside = path.with_name(f".{path.name}.tmp")
+    try:
+        aside.write_text(text, encoding="utf-8", newline="")
+        _flush(aside)
+        os.replace(aside, path)
+    except BaseException:
+        aside.unlink(missing_ok=True)
+        raise
+
+
+def write_manifest(directory: Path, content: Mapping[str, Any]) -> None:
+    """Write ``manifest.json``, with a checksum of itself."""
+    body = json.dumps(content, sort_keys=True)
+    seal = hashlib.sha256(body.encode()).hexdigest()
+    path = directory / MANIFEST
+    path.write_text(json.dumps({"sha256": seal, "content": content}, sort_keys=True, indent=1), encoding="utf-8")
+    _flush(path)
+
+
+def read_manifest(directory: Path) -> dict[str, Any]:
+    """What :func:`write_manifest` wrote.
+
+    Raises:
+        RunError: If it is missing or damaged.
+    """
+    path = directory / MANIFEST
+    try:
+        whole = json.loads(path.read_text(encoding="utf-8"))
+        content: dict[str, Any] = whole["content"]
+        body = json.dumps(content, sort_keys=True)
+        if hashlib.sha256(body.encode()).hexdigest() != whole["sha256"]:
+            raise RunError(f"{path} is damaged: its checksum does not fit.")
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise RunError(f"{path} cannot be read: {error}") from error
+    return content
+
+
+def check_file(path: Path, expected: str) -> None:
+    """Raise a :class:`RunError` unless ``path`` has the checksum ``expected``."""
+    try:
+        found = checksum(path)
+    except OSError as error:
+        raise RunError(f"{path} cannot be read: {error.strerror}") from error
+    if found != expected:
+        raise RunError(f"{path} is damaged: its checksum does not fit.")
+
+
+def checksum(path: Path) -> str:
+    """SHA-256 of a file."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def _flush(path: Path) -> None:
+    """Wait until a file, or the names in a directory, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,70 @@
+"""Ctrl-C and SIGTERM: finish the step first; a second one leaves at once. And one training to a directory."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+
+from filelock import FileLock, Timeout
+
+from gctd3.errors import RunError
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+LOCK = ".lock"
+
+
+class StopRequest:
+    """Remembers the first SIGINT or SIGTERM; the second one ends the process.
+
+    Attributes:
+        signal: The number of the signal, or ``None``.
+    """
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+
+    def __bool__(self) -> bool:
+        return self.signal is not None
+
+    @property
+    def exit_code(self) -> int:
+        """What a shell reports of a program that the signal ended."""
+        return 128 + (self.signal or 0)
+
+    @contextlib.contextmanager
+    def listening(self) -> Iterator[None]:
+        """Listen for signals meanwhile; only the main thread can, elsewhere this does nothing."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = {number: signal.signal(number, self._heard) for number in SIGNALS}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _heard(self, number: int, frame: FrameType | None) -> None:
+        self.signal = number
+        for each in SIGNALS:
+            signal.signal(each, signal.SIG_DFL)
+        print("\nFinishing the step to save it; once more leaves at once.", flush=True)
+
+
+@contextlib.contextmanager
+def only_one(run: Path) -> Iterator[None]:
+    """Hold the directory of a run; the system lets go of it when the process ends, however it ends.
+
+    Raises:
+        RunError: If another training holds it.
+    """
+    run.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(run / LOCK, timeout=0):
+            yield
+    except Timeout as error:
+        raise RunError(f"Another training writes to {run}: wait for it, or choose another hydra.run.dir.") from error
