@@ -41,6 +41,7 @@ class KinematicGraph:
         mirror: For each node the index of the node on the other side of the robot (its own if it has none).
         kinds: Of each node: ``root``, ``base``, ``hinge``, ``slide``, ``ball`` or ``ground``; empty if not a robot's.
         parents: Of each node, names of those above it in the kinematic tree; empty if not a robot's.
+        actuated: For each action the index of the node that it moves; empty if nothing is known of actions.
 
     Example:
         >>> graph = KinematicGraph.from_mjcf("biped")
@@ -55,6 +56,7 @@ class KinematicGraph:
     mirror: tuple[int, ...] = ()
     kinds: tuple[str, ...] = ()
     parents: tuple[tuple[str, ...], ...] = ()
+    actuated: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.nodes)
@@ -109,21 +111,33 @@ class KinematicGraph:
         names = tuple(node.name for node in nodes)
         mirror = tuple(names.index(node.mirror) for node in nodes)
         kinds, parents = tuple(node.kind for node in nodes), tuple(node.parents for node in nodes)
-        return cls(names, read_adjacency(nodes, preset, seed), mirror, kinds, parents)
+        actuated = tuple(names.index(name) for name in robot.actuated)
+        return cls(names, read_adjacency(nodes, preset, seed), mirror, kinds, parents, actuated)
 
     @classmethod
     def from_edges(
-        cls, nodes: Sequence[str], edges: Sequence[tuple[str, str]], directed: bool = False
+        cls,
+        nodes: Sequence[str],
+        edges: Sequence[tuple[str, str]],
+        directed: bool = False,
+        actuated: Sequence[str] = (),
     ) -> KinematicGraph:
         """A graph from its edges: ``(i, j)`` sets ``A[i, j]``, and ``A[j, i]`` too unless ``directed``.
 
+        Args:
+            nodes: Names.
+            edges: Pairs of names.
+            directed: Whether ``(i, j)`` lets only ``i`` take in ``j``.
+            actuated: For each action the name of the node that it moves.
+
         Raises:
-            RobotError: If an edge names no node, or joins a node to itself.
+            RobotError: If an edge or an action names no node, or an edge joins a node to itself.
         """
-        unknown = sorted({name for edge in edges for name in edge} - set(nodes))
-        if unknown:
-            raise RobotError(f"No node {', '.join(unknown)} for an edge: the nodes are {', '.join(nodes)}.")
-        return cls(tuple(nodes), adjacency_of(nodes, edges, directed))
+        for what, names in (("an edge", {name for edge in edges for name in edge}), ("an action", set(actuated))):
+            if unknown := sorted(names - set(nodes)):
+                raise RobotError(f"No node {', '.join(unknown)} for {what}: the nodes are {', '.join(nodes)}.")
+        order = tuple(nodes.index(name) for name in actuated)
+        return cls(tuple(nodes), adjacency_of(nodes, edges, directed), actuated=order)
 
     # What it is made of.
 

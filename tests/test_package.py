@@ -18,6 +18,7 @@ STAGES = [
     "errors",
     "mjcf shapes feet mirror base robot",
     "nodes graph",
+    "reflection",
     "envs.reward envs.gait envs.simulation envs.batched envs.dmc envs.gym envs.factory envs",
     "nn.layers nn.graph_conv nn.encoder nn.network nn.actor nn.critic nn",
     "objectives.stacked objectives.td3 objectives.sac objectives",
