@@ -15,6 +15,7 @@ from gctd3.errors import ConfigError, check_seed
 from gctd3.exploration import ExplorationSettings
 from gctd3.graph import KinematicGraph
 from gctd3.nn import Network
+from gctd3.reflection import Reflection
 from gctd3.replay import ReplaySettings
 from gctd3.robot import Robot
 
@@ -206,4 +207,5 @@ class TrainSettings:
             in_features=FEATURES * self.env.history,
             action_dim=len(robot.actuated),
             privileged_dim=task.num_counters if self.algo.privileged_critic else 0,
+            reflection=Reflection.from_robot(robot, FEATURES) if self.network.equivariant else None,
         )

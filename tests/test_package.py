@@ -20,7 +20,7 @@ STAGES = [
     "nodes graph",
     "reflection",
     "envs.reward envs.gait envs.simulation envs.batched envs.dmc envs.gym envs.factory envs",
-    "nn.layers nn.graph_conv nn.encoder nn.network nn.actor nn.critic nn",
+    "nn.layers nn.graph_conv nn.encoder nn.readout nn.symmetry nn.network nn.actor nn.critic nn",
     "objectives.stacked objectives.td3 objectives.sac objectives",
     "algorithms.base algorithms.td3 algorithms.ddpg algorithms.sac algorithms",
     "exploration",

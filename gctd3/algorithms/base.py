@@ -17,6 +17,7 @@ from torchrl.objectives import LossModule
 from gctd3.errors import ConfigError
 from gctd3.graph import KinematicGraph
 from gctd3.nn import Network, make_actor, make_critic, make_stochastic_actor
+from gctd3.reflection import Reflection
 
 Metrics = dict[str, Tensor]
 
@@ -31,6 +32,7 @@ class Architecture:
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
         privileged_dim: Length of the critics' extra input, 0 for none.
+        reflection: How the robot looks in the mirror; equivariant networks need it.
     """
 
     graph: KinematicGraph
@@ -38,18 +40,20 @@ class Architecture:
     in_features: int
     action_dim: int
     privileged_dim: int = 0
+    reflection: Reflection | None = None
 
     def actor(self) -> TensorDictModule:
         """A fresh deterministic policy."""
-        return make_actor(self.graph, self.in_features, self.action_dim, self.network)
+        return make_actor(self.graph, self.in_features, self.action_dim, self.network, self.reflection)
 
     def stochastic_actor(self) -> TensorDictModuleBase:
         """A fresh Gaussian policy."""
-        return make_stochastic_actor(self.graph, self.in_features, self.action_dim, self.network)
+        return make_stochastic_actor(self.graph, self.in_features, self.action_dim, self.network, self.reflection)
 
     def critic(self) -> TensorDictModule:
         """A fresh action-value network."""
-        return make_critic(self.graph, self.in_features, self.action_dim, self.network, self.privileged_dim)
+        sizes = self.in_features, self.action_dim
+        return make_critic(self.graph, *sizes, self.network, self.privileged_dim, self.reflection)
 
 
 @dataclass(frozen=True)
