@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gctd3.base import EXTRA
 from gctd3.errors import RobotError
 from gctd3.graph import KinematicGraph
 from gctd3.robot import Robot
@@ -64,7 +65,8 @@ class Reflection:
         """The reflection of a robot in the walking task.
 
         Joints change places with their mirror images and their angles and velocities their signs, as the joints' axes
-        ask; the ground node's features are one per foot and change places too; the root's stay.
+        ask; a ground node's features are one per foot and change places too; the root's stay, and of the base nodes
+        those keep their sign that lie in the sagittal plane.
 
         Args:
             robot: The robot.
@@ -73,10 +75,16 @@ class Reflection:
         graph = KinematicGraph.from_robot(robot)
         source = np.arange(graph.num_nodes * features).reshape(graph.num_nodes, features)[list(graph.mirror)]
         sign = np.ones(source.shape)
-        for row, name in enumerate(graph.nodes[1:-1], start=1):
-            sign[row] = robot.mirror_sign(name)
-        feet = np.array([robot.feet.index(robot.mirror_name(foot)) for foot in robot.feet])
-        source[-1] = source[-1][feet]
+        extra, pairs = iter(robot.base.extra), iter(robot.foot_pairs)
+        for row, (name, kind) in enumerate(zip(graph.nodes, graph.kinds, strict=True)):
+            if kind == "base":
+                sign[row] = EXTRA[next(extra)]
+            elif kind == "ground":
+                pair = next(pairs)
+                source[row, : len(pair)] = source[row, [pair.index(robot.mirror_feet[foot]) for foot in pair]]
+            elif kind != "root":
+                sign[row] = robot.mirror_sign(name)
+        feet = np.array(robot.mirror_feet)
         hip_sign = [robot.mirror_sign(leg[0].name) for leg in robot.legs]
         return cls(
             features=features,
