@@ -20,7 +20,7 @@ from torch import nn
 from torch.nn import functional
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
 
-from gctd3 import KinematicGraph, load_policy, make_actor, make_critic, make_stochastic_actor
+from gctd3 import KinematicGraph, Robot, load_policy, make_actor, make_critic, make_stochastic_actor
 from gctd3.envs.gait import FEATURES
 from gctd3.errors import ConfigError, RobotError
 from gctd3.nn import Actor, ChebyshevConv, Critic, GraphEncoder, Network
@@ -297,10 +297,31 @@ def test_reflection_is_what_replay_mirrors(either):
         SignedPermutation(np.array([1, 2, 0]), np.ones(3))
 
 
-def test_an_equivariant_network_needs_a_reflection(graph):
+@pytest.mark.parametrize("task", ["walker", "humanoid", "quadruped"])
+def test_reflection_of_robots_with_base_nodes_and_many_feet(task):
+    from dm_control import suite  # not for the tests above
+
+    model = suite.load(task, "walk").physics.model.ptr
+    robot = Robot.from_mjcf(model)
+    graph, matrix = KinematicGraph.from_robot(robot), Reflection.from_robot(robot).frame.matrix
+    assert np.array_equal(matrix @ matrix, np.eye(2 * graph.num_nodes))
+    values = np.random.default_rng(0).normal(size=(graph.num_nodes, 2))
+    seen = (values.reshape(-1) @ matrix).reshape(values.shape)
+    assert np.array_equal(seen[0], values[0])  # height and forward velocity
+    for name, sign in (("pitch", 1.0), ("roll", -1.0), ("yaw", -1.0), ("side", -1.0)):
+        rows = [i for i, node in enumerate(graph.nodes) if node == f"torso_{name}"]
+        assert len(rows) == (name == "pitch" or task != "walker")
+        assert np.array_equal(seen[rows], sign * values[rows])
+    feet = [i for i, kind in enumerate(graph.kinds) if kind == "ground"]
+    assert np.array_equal(seen[feet], values[feet, ::-1]) and len(feet) == (2 if task == "quadruped" else 1)
+
+
+def test_an_equivariant_network_needs_a_reflection(graph, reflection):
     for make in (make_actor, make_critic, make_stochastic_actor):
         with pytest.raises(ConfigError, match=r"equivariant: true needs .*reflection=Reflection\.from_robot"):
             make(graph, *SIZES, Network(equivariant=True))
+        with pytest.raises(ConfigError, match="reflection of all 5 actions, got one of 6"):
+            make(graph, 10, 5, Network(equivariant=True), reflection=reflection)
 
 
 # All of them.

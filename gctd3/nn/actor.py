@@ -52,7 +52,7 @@ class Actor(nn.Module):
             self.head = network.joint_readout(graph, self.encoder.width, action_dim, per_action)
         else:
             self.head = network.head(self.encoder.out_features, per_action * action_dim)
-        self.symmetry = network.symmetry(reflection, in_features, per_action * action_dim)
+        self.symmetry = network.symmetry(reflection, in_features, action_dim, per_action)
         self.squash = squash
 
     def forward(self, nodes: Tensor) -> Tensor:

@@ -52,7 +52,7 @@ class Critic(nn.Module):
             self.head = network.pooled_readout(graph, self.encoder.width, action_dim, privileged_dim)
         else:
             self.head = network.head(self.encoder.out_features + action_dim + privileged_dim, 1)
-        self.symmetry = network.symmetry(reflection, in_features, 1, value=True)
+        self.symmetry = network.symmetry(reflection, in_features, action_dim, per_action=0)
 
     def forward(self, nodes: Tensor, action: Tensor, *privileged: Tensor) -> Tensor:
         """Value of ``action`` in the state ``nodes``; ``[E, B, 1]`` with parameters stacked to ``[E, ...]``."""

@@ -99,9 +99,9 @@ class Network:
         return PooledReadout(graph, action_dim, each, nn.Sequential(*self._layers(*sizes), Linear(sizes[-1], 1)))
 
     def symmetry(
-        self, reflection: Reflection | None, in_features: int, out_features: int, value: bool = False
+        self, reflection: Reflection | None, in_features: int, action_dim: int, per_action: int
     ) -> Symmetric | None:
-        """What makes the network's output equivariant, or a value invariant, if it is to be.
+        """What makes the network's output equivariant, or a value (``per_action`` 0) invariant, if it is to be.
 
         Raises:
             ConfigError: If it is to be, and ``reflection`` is missing.
@@ -110,7 +110,7 @@ class Network:
             return None
         if reflection is None:
             raise ConfigError("equivariant: true needs the reflection=Reflection.from_robot(robot).")
-        return Symmetric(reflection, in_features, out_features, value)
+        return Symmetric(reflection, in_features, action_dim, per_action)
 
     def _layers(self, *sizes: int) -> list[nn.Module]:
         layers: list[nn.Module] = []

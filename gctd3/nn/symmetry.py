@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from gctd3.errors import ConfigError
 from gctd3.reflection import Reflection, SignedPermutation
 
 
@@ -40,16 +41,24 @@ class Symmetric(nn.Module):
     Args:
         reflection: How the robot looks in the mirror.
         in_features: ``F``, features of a node over all stacked frames.
-        out_features: Length of the output: 1 for a value, which the mirror leaves alone; ``A`` for actions; ``2 A`` for
-            actions followed by their scales, which change places but not signs.
-        value: Whether the output is a value.
+        action_dim: ``A``, number of actions.
+        per_action: Numbers that the function gives for each action: 1 for actions; 2 for actions followed by their
+            scales, which change places but not signs; 0 if it gives a value, which the mirror leaves alone.
+
+    Raises:
+        ConfigError: If the reflection is of another number of actions.
     """
 
-    def __init__(self, reflection: Reflection, in_features: int, out_features: int, value: bool = False) -> None:
+    def __init__(self, reflection: Reflection, in_features: int, action_dim: int, per_action: int) -> None:
         super().__init__()
+        if len(reflection.action.source) != action_dim:
+            raise ConfigError(
+                f"equivariant: true needs a reflection of all {action_dim} actions, got one of "
+                f"{len(reflection.action.source)}: only actuators of joints have a mirror image."
+            )
         self.nodes = Reflect(reflection.nodes(in_features))
         self.action, self.counters = Reflect(reflection.action), Reflect(reflection.counters)
-        self.out = nn.Identity() if value else Reflect(_outputs(reflection.action, out_features))
+        self.out = Reflect(_outputs(reflection.action, per_action)) if per_action else nn.Identity()
 
     def forward(self, function: Callable[..., Tensor], nodes: Tensor, *beside: Tensor) -> Tensor:
         """Average ``function(nodes, *beside)``.
@@ -70,9 +79,8 @@ class Symmetric(nn.Module):
         return out.squeeze(-2) if lonely else out
 
 
-def _outputs(action: SignedPermutation, out_features: int) -> SignedPermutation:
+def _outputs(action: SignedPermutation, per_action: int) -> SignedPermutation:
     """Of actions, and of as many unsigned numbers as follow them."""
-    copies = out_features // len(action.source)
-    source = [action.source + i * len(action.source) for i in range(copies)]
-    sign = [action.sign if i == 0 else np.ones_like(action.sign) for i in range(copies)]
+    source = [action.source + i * len(action.source) for i in range(per_action)]
+    sign = [action.sign, *[np.ones_like(action.sign)] * (per_action - 1)]
     return SignedPermutation(np.concatenate(source), np.concatenate(sign))
