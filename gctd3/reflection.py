@@ -13,6 +13,7 @@ import numpy as np
 from gctd3.base import EXTRA
 from gctd3.errors import RobotError
 from gctd3.graph import KinematicGraph
+from gctd3.nodes import foot_slots
 from gctd3.robot import Robot
 
 
@@ -75,16 +76,14 @@ class Reflection:
         graph = KinematicGraph.from_robot(robot)
         source = np.arange(graph.num_nodes * features).reshape(graph.num_nodes, features)[list(graph.mirror)]
         sign = np.ones(source.shape)
-        extra, pairs = iter(robot.base.extra), iter(robot.foot_pairs)
+        extra = iter(robot.base.extra)
         for row, (name, kind) in enumerate(zip(graph.nodes, graph.kinds, strict=True)):
             if kind == "base":
                 sign[row] = EXTRA[next(extra)]
-            elif kind == "ground":
-                pair = next(pairs)
-                source[row, : len(pair)] = source[row, [pair.index(robot.mirror_feet[foot]) for foot in pair]]
-            elif kind != "root":
+            elif kind not in ("root", "ground"):
                 sign[row] = robot.mirror_sign(name)
-        feet = np.array(robot.mirror_feet)
+        feet, (node, feature) = np.array(robot.mirror_feet), foot_slots(robot).T
+        source[node, feature] = source[node[feet], feature[feet]]
         hip_sign = [robot.mirror_sign(leg[0].name) for leg in robot.legs]
         return cls(
             features=features,
