@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from gctd3 import gait_metrics
 from gctd3.cli import command
 from gctd3.envs.factory import build_env
 from gctd3.envs.gait import FEATURES
+from gctd3.envs.library import LibrarySettings
 from gctd3.envs.reward import Reward
 from gctd3.errors import ConfigError, check_seed
 from gctd3.graph import KinematicGraph
@@ -199,10 +200,12 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     trained = load_settings(run)
     policy = load_policy(run)
     robot = trained.load_robot()
-    judged = replace(trained.env, backend="batched", num_envs=settings.episodes, threads=settings.threads)
+    judged = trained.env.judging(settings.episodes, settings.threads)
     env = build_env(robot, judged, settings.reward, settings.seed)
     result = evaluate(policy, env, robot, settings.seed, judged.control_dt)
+    task = {"task": judged.task} if isinstance(judged, LibrarySettings) else {}
     report: dict[str, object] = {
+        **task,
         **result.summary(),
         "gait": result.gait(),
         "seeds": {"training": trained.seed, "evaluation": settings.seed},
@@ -230,7 +233,8 @@ def table(report: dict[str, object]) -> str:
         text = form.format(values[key])
         return f"{text} ± {form.format(values[spread])}" if spread else text
 
-    paper: dict[str, object] = {**PAPER, "episodes": 50}
+    # The paper has nothing to say of a library's task.
+    paper: dict[str, object] = {} if "task" in report else {**PAPER, "episodes": 50}
     for label, key, form, spread in rows:
         lines.append(f"{label:34}{cell(report, key, form, spread):>18}{cell(paper, key, form, spread):>18}")
     gait = report["gait"]

@@ -10,6 +10,7 @@ from typing import Literal
 from gctd3.algorithms.base import AlgorithmSettings, Architecture
 from gctd3.envs.factory import EnvSettings
 from gctd3.envs.gait import FEATURES, WalkingTask
+from gctd3.envs.library import LibrarySettings
 from gctd3.envs.reward import Reward
 from gctd3.errors import ConfigError, check_seed
 from gctd3.exploration import ExplorationSettings
@@ -151,7 +152,7 @@ class TrainSettings:
     """
 
     robot: RobotSettings
-    env: EnvSettings
+    env: EnvSettings | LibrarySettings
     reward: Reward
     algo: AlgorithmSettings
     network: Network
@@ -189,23 +190,28 @@ class TrainSettings:
                 f"got {self.replay.capacity}."
             )
 
+        if self.replay.mirror and isinstance(self.env, LibrarySettings):
+            raise ConfigError("replay.mirror must be false for a library's task, got true: use replay=plain.")
+
     def load_robot(self) -> Robot:
         """The robot.
 
         Raises:
             RobotError: If it cannot be used.
         """
-        return self.robot.load()
+        return self.env.robot if isinstance(self.env, LibrarySettings) else self.robot.load()
 
     def architecture(self) -> Architecture:
         """What the networks are built from."""
         robot = self.load_robot()
-        task = WalkingTask(robot, self.reward, self.env.endings, self.env.control_dt)
+        privileged = 0
+        if self.algo.privileged_critic and isinstance(self.env, EnvSettings):
+            privileged = WalkingTask(robot, self.reward, self.env.endings, self.env.control_dt).num_counters
         return Architecture(
             graph=KinematicGraph.from_robot(robot, self.robot.graph, self.robot.graph_seed),
             network=self.network,
             in_features=FEATURES * self.env.history,
-            action_dim=len(robot.actuated),
-            privileged_dim=task.num_counters if self.algo.privileged_critic else 0,
+            action_dim=int(robot.model.nu),
+            privileged_dim=privileged,
             reflection=Reflection.from_robot(robot, FEATURES) if self.network.equivariant else None,
         )

@@ -7,7 +7,6 @@ import logging
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -55,7 +54,7 @@ class Trainer:
         mirror = Mirror(self.robot, env.history) if settings.replay.mirror else None
         self.replay = Replay(settings.replay, settings.algo.gamma, env.history, mirror)
         self.env = build_env(self.robot, env, settings.reward, settings.seed)
-        judged = replace(env, backend="batched", num_envs=settings.evaluation.episodes)
+        judged = env.judging(settings.evaluation.episodes)
         self.evaluation_env = build_env(self.robot, judged, settings.evaluation.reward, settings.evaluation.seed)
         self.checkpoints = Checkpoints(directory, settings.keep_checkpoints)
         self.logger = make_logger(settings.logger, directory)

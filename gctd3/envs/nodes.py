@@ -74,6 +74,11 @@ class NodeSensor:
             values[row, : len(feet), 0] = down[list(feet)]
         return values.reshape(self.graph.num_nodes, self.features)
 
+    def position(self, data: mujoco.MjData) -> float:
+        """The way forward from the world's origin (m); 0 of a robot that cannot move that way."""
+        base = self.robot.base.read(np.array(data.qpos), np.array(data.qvel))
+        return float(base["forward"][0]) if "forward" in base else 0.0
+
     def feet_down(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
         """Whether each foot touches something that does not move, shape ``[feet]``."""
         touching: set[int] = set()
@@ -117,7 +122,7 @@ class Nodes(Transform):
     def __init__(self, env: EnvBase) -> None:
         super().__init__(in_keys=[], out_keys=["nodes"])
         self.__dict__["sensor"] = sensor_of(env)
-        self.__dict__["_simulator"] = lambda: _state(env)
+        self.__dict__["_simulator"] = lambda: simulator(env)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         nodes = torch.from_numpy(self.sensor.read(*self._simulator()))
@@ -188,11 +193,15 @@ def sensor_of(env: EnvBase) -> NodeSensor:
         ConfigError: If it has no MuJoCo simulator, or more than one.
         RobotError: If what it simulates is not a robot.
     """
-    return NodeSensor(_state(env)[0])
+    return NodeSensor(simulator(env)[0])
 
 
-def _state(env: EnvBase) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """The simulator's model and data, as they are now: some tasks build a new model at a reset."""
+def simulator(env: EnvBase) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The simulator's model and data, as they are now: some tasks build a new model at a reset.
+
+    Raises:
+        ConfigError: If there is no MuJoCo simulator, or more than one.
+    """
     # A transformed environment would pass these questions on.
     inner: Any = None if isinstance(env, TransformedEnv) else getattr(env, "_env", None)
     if physics := getattr(inner, "physics", None):
