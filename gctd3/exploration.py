@@ -167,7 +167,10 @@ class Explorer(TensorDictModuleBase):
         if self.warming_up:
             tensordict.set("action", self._warmup(tensordict.get("is_init").reshape(-1)))
         else:
-            self.actor(tensordict)
+            # Robots are on the CPU; the actor may be elsewhere.
+            device = next(self.actor.parameters()).device
+            seen = tensordict.select(*self.actor.in_keys).to(device)
+            tensordict.set("action", self.actor(seen).get("action").to("cpu"))
             if self.settings.noise is not None:
                 action = tensordict.get("action")
                 tensordict.set("action", (action + self.sigma * torch.randn_like(action)).clamp(-1.0, 1.0))

@@ -28,17 +28,29 @@ class FrameBuffer:
         history: ``H``, frames in a stack.
         n_step: Rewards summed before the bootstrap.
         gamma: Their discount.
+        device: Where they are kept and batches made.
 
     Raises:
         ConfigError: If the capacity is too small for the robots that the first batch brings.
     """
 
     KEYS = ("nodes", "counters")  # observations; of "nodes" only the newest frame is stored
+    KEPT = (*KEYS, "action", "step_count", *(("next", key) for key in (*KEYS, "reward", "terminated", "truncated")))
 
-    def __init__(self, capacity: int, batch_size: int, history: int, n_step: int, gamma: float) -> None:
+    def __init__(
+        self,
+        capacity: int,
+        batch_size: int,
+        history: int,
+        n_step: int,
+        gamma: float,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.device = torch.device(device)
         self.capacity, self.batch_size = capacity, batch_size
         self.history, self.n_step, self.gamma = history, n_step, gamma
         self._ring: dict[str, Tensor] = {}
+        self._flat: dict[str, Tensor] = {}  # the same memory, rows and robots as one dimension
         self._last: dict[str, Tensor] = {}
         self._free: list[int] = []
         self.head = self.rows = self.filled = self.robots = 0
@@ -54,10 +66,11 @@ class FrameBuffer:
             )
         try:
             for key, values in step.items():
-                self._ring[key] = torch.zeros((self.rows, *values.shape), dtype=values.dtype)
+                self._ring[key] = torch.zeros((self.rows, *values.shape), dtype=values.dtype, device=self.device)
         except RuntimeError as error:
             raise MemoryError(f"replay.capacity={self.capacity}") from error
-        self._ring["last"] = torch.full((self.rows, self.robots), -1, dtype=torch.int32)
+        self._ring["last"] = torch.full((self.rows, self.robots), -1, dtype=torch.int32, device=self.device)
+        self._flat = {key: values.flatten(0, 1) for key, values in self._ring.items()}
         for key in self.KEYS:
             self._last[key] = self._ring[key].new_zeros((0, *self._ring[key].shape[2:]))
 
@@ -71,6 +84,7 @@ class FrameBuffer:
 
     def extend(self, collected: TensorDictBase) -> None:
         """Append ``collected``, batch size ``[robots, time]``, in the order of time."""
+        collected = collected.select(*self.KEPT).to(self.device)
         following = collected["next"]
         for t in range(collected.shape[1]):
             step = TensorDict(
@@ -98,7 +112,7 @@ class FrameBuffer:
         last[row] = -1
         ended = torch.nonzero(step["terminated"] | step["truncated"])[:, 0]
         if len(ended):
-            places = torch.tensor(self._places(len(ended)))
+            places = torch.tensor(self._places(len(ended)), device=self.device)
             last[row, ended] = places.to(torch.int32)
             self._last["nodes"][places] = following["nodes"][ended][..., -FEATURES:]
             self._last["counters"][places] = following["counters"][ended]
@@ -133,31 +147,32 @@ class FrameBuffer:
         if not self.ready:
             raise RuntimeError(f"The replay holds {self.filled} steps of each robot: too few to draw from.")
         first = self.head + self.history - 1 if self.filled == self.rows else 0
-        steps = (first + torch.randint(self.ready, (self.batch_size,))) % self.rows
-        return self.gather(steps, torch.randint(self.robots, (self.batch_size,)))
+        steps = (first + self._draw(self.ready)) % self.rows
+        return self.gather(steps, self._draw(self.robots))
+
+    def _draw(self, below: int) -> Tensor:
+        return torch.randint(below, (self.batch_size,), device=self.device)
 
     def gather(self, row: Tensor, robot: Tensor) -> TensorDictBase:
         """The transitions of the given rows and robots, each ``[B]``; batch size ``[B]``."""
-        ring = self._ring
+        here = row * self.robots + robot
         # The window: up to n steps, ended early by the end of the episode.
-        reward, final, steps = ring["reward"][row, robot].clone(), row, torch.ones_like(row)
-        going = ring["last"][row, robot] < 0
+        final, reward, place = here, self._at("reward", here), self._at("last", here)
+        steps, following = torch.ones_like(row), here
         for k in range(1, self.n_step):
-            following = (row + k) % self.rows
-            reward += going * self.gamma**k * ring["reward"][following, robot]
+            going = place < 0
+            following = self._later(following, 1)
+            reward = reward + going * self.gamma**k * self._at("reward", following)
             final, steps = torch.where(going, following, final), steps + going
-            going = going & (ring["last"][following, robot] < 0)
+            place = torch.where(going, self._at("last", following), place)
 
-        terminated, truncated = ring["terminated"][final, robot], ring["truncated"][final, robot]
-        after = (final + 1) % self.rows
-        place = ring["last"][final, robot].long()
-        ended = (place >= 0)[:, None]
-        next_frame = torch.where(ended[..., None], self._last_at("nodes", place), ring["nodes"][after, robot])
-        next_counters = torch.where(ended, self._last_at("counters", place), ring["counters"][after, robot])
-        before = self._stack(final, robot, self.history - 1)
+        terminated, truncated = self._at("terminated", final), self._at("truncated", final)
+        after, ended = self._later(final, 1), (place >= 0)[:, None]
+        next_frame = torch.where(ended[..., None], self._last_at("nodes", place), self._at("nodes", after))
+        next_counters = torch.where(ended, self._last_at("counters", place), self._at("counters", after))
         done = terminated | truncated
         following_td = {
-            "nodes": torch.cat([*before, next_frame], dim=-1),
+            "nodes": torch.cat([self._stack(final, self.history - 1), next_frame], dim=-1),
             "counters": next_counters,
             "reward": reward[:, None],
             "done": done[:, None],
@@ -165,26 +180,37 @@ class FrameBuffer:
             "truncated": truncated[:, None],
         }
         batch = {
-            "nodes": torch.cat(self._stack(row, robot, self.history), dim=-1),
-            "counters": ring["counters"][row, robot],
-            "action": ring["action"][row, robot],
+            "nodes": self._stack(here, self.history),
+            "counters": self._at("counters", here),
+            "action": self._at("action", here),
             "next": TensorDict(following_td, [len(row)]),
         }
         if self.n_step > 1:
             batch["steps_to_next_obs"] = steps
         return TensorDict(batch, [len(row)])
 
-    def _stack(self, row: Tensor, robot: Tensor, frames: int) -> list[Tensor]:
-        """The ``frames`` frames up to ``row``, oldest first; before the episode's first it repeats."""
-        age = self._ring["age"][row, robot].long()
-        back = [torch.clamp(age, max=k) for k in range(frames - 1, -1, -1)]
-        return [self._ring["nodes"][(row - b) % self.rows, robot] for b in back]
+    def _at(self, key: str, place: Tensor) -> Tensor:
+        """``key`` at places of the ring; a place is its row times the robots, plus the robot."""
+        return self._flat[key].index_select(0, place)
+
+    def _later(self, place: Tensor, rows: int) -> Tensor:
+        """The places ``rows`` after; a negative number is before."""
+        return (place + rows * self.robots) % (self.rows * self.robots)
+
+    def _stack(self, place: Tensor, frames: int) -> Tensor:
+        """The ``frames`` frames up to ``place`` side by side, oldest first; before the episode's first it repeats."""
+        if not frames:
+            return self._ring["nodes"].new_zeros((len(place), *self._ring["nodes"].shape[2:-1], 0))
+        back = torch.arange(frames - 1, -1, -1, device=self.device).minimum(self._at("age", place).long()[:, None])
+        places = (place[:, None] - back * self.robots) % (self.rows * self.robots)
+        stack = self._at("nodes", places.reshape(-1)).unflatten(0, places.shape)
+        return stack.movedim(1, -2).flatten(-2)
 
     def _last_at(self, key: str, place: Tensor) -> Tensor:
         table = self._last[key]
         if not len(table):
             return self._ring[key].new_zeros((len(place), *self._ring[key].shape[2:]))
-        return table[place.clamp(min=0)]
+        return table.index_select(0, place.clamp(min=0))
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that is stored."""
@@ -202,3 +228,4 @@ class FrameBuffer:
         self._free, self.head, self.filled = list(state["free"]), int(state["head"]), int(state["filled"])
         if self._ring:
             self.rows, self.robots = self._ring["last"].shape
+            self._flat = {key: values.flatten(0, 1) for key, values in self._ring.items()}

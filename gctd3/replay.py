@@ -100,15 +100,23 @@ class Replay:
         gamma: Discount of the n-step sums.
         history: Frames in an observation.
         mirror: The reflection, if ``settings.mirror``.
+        device: Where transitions are kept and batches made.
     """
 
-    def __init__(self, settings: ReplaySettings, gamma: float, history: int = 5, mirror: Mirror | None = None) -> None:
-        self.settings, self.mirror = settings, mirror
+    def __init__(
+        self,
+        settings: ReplaySettings,
+        gamma: float,
+        history: int = 5,
+        mirror: Mirror | None = None,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.settings, self.mirror = settings, mirror if mirror is None else mirror.to(device)
         self.buffer: FrameBuffer | StackedBuffer
         if settings.storage == "frames":
-            self.buffer = FrameBuffer(settings.capacity, settings.batch_size, history, settings.n_step, gamma)
+            self.buffer = FrameBuffer(settings.capacity, settings.batch_size, history, settings.n_step, gamma, device)
         else:
-            self.buffer = StackedBuffer(settings.capacity, settings.batch_size, settings.n_step, gamma)
+            self.buffer = StackedBuffer(settings.capacity, settings.batch_size, settings.n_step, gamma, device)
 
     def __len__(self) -> int:
         return len(self.buffer)
@@ -136,12 +144,16 @@ class StackedBuffer:
         batch_size: Transitions drawn at once.
         n_step: Rewards summed before the bootstrap.
         gamma: Their discount.
+        device: Where they are kept.
     """
 
     robots = 1
 
-    def __init__(self, capacity: int, batch_size: int, n_step: int, gamma: float) -> None:
-        self.torchrl = TensorDictReplayBuffer(storage=LazyTensorStorage(capacity), batch_size=batch_size)
+    def __init__(
+        self, capacity: int, batch_size: int, n_step: int, gamma: float, device: torch.device | str = "cpu"
+    ) -> None:
+        storage = LazyTensorStorage(capacity, device=torch.device(device))
+        self.torchrl = TensorDictReplayBuffer(storage=storage, batch_size=batch_size)
         # By default the transform leaves the ends of a window's first step in place; the update must see its last.
         self._steps = MultiStepTransform(n_step, gamma, done_keys=[]) if n_step > 1 else None
 

@@ -7,7 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+import torch
+
 from gctd3.algorithms.base import AlgorithmSettings, Architecture
+from gctd3.device import check_device
 from gctd3.envs.factory import EnvSettings
 from gctd3.envs.gait import FEATURES, WalkingTask
 from gctd3.envs.library import LibrarySettings
@@ -146,6 +149,7 @@ class TrainSettings:
         total_episodes: Episodes after which to end, counted as they end; ``None`` for any number.
         steps: Control steps of every robot between updates.
         updates: Updates after those.
+        device: That networks and replay live on, ``cpu``, ``cuda`` or ``cuda:0`` and so on; robots are on the CPU.
         threads: Of PyTorch; its own default if ``None``.
         logger: Where curves go, besides ``progress.csv``.
         keep_checkpoints: Newest checkpoints to keep, besides the best.
@@ -165,6 +169,7 @@ class TrainSettings:
     total_episodes: int | None = None
     steps: int = 1
     updates: int = 4
+    device: str = "cpu"
     threads: int | None = None
     logger: Literal["csv", "tensorboard", "wandb", "mlflow", "none"] = "tensorboard"
     keep_checkpoints: int = 1
@@ -176,6 +181,7 @@ class TrainSettings:
         if self.total_episodes is not None and self.total_episodes < 1:
             raise ConfigError(f"total_episodes must be at least 1, or null, got {self.total_episodes}.")
         check_seed("seed", self.seed)
+        check_device(self.device)
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, or null, got {self.threads}.")
         frames = self.env.num_envs * self.steps
@@ -201,8 +207,8 @@ class TrainSettings:
         """
         return self.env.robot if isinstance(self.env, LibrarySettings) else self.robot.load()
 
-    def architecture(self) -> Architecture:
-        """What the networks are built from."""
+    def architecture(self, device: torch.device | str = "cpu") -> Architecture:
+        """What the networks are built from, to lie on ``device``."""
         robot = self.load_robot()
         privileged = 0
         if self.algo.privileged_critic and isinstance(self.env, EnvSettings):
@@ -214,4 +220,5 @@ class TrainSettings:
             action_dim=int(robot.model.nu),
             privileged_dim=privileged,
             reflection=Reflection.from_robot(robot, FEATURES) if self.network.equivariant else None,
+            device=device,
         )

@@ -16,6 +16,7 @@ from torchrl.record.loggers import Logger, get_logger
 from tqdm import tqdm
 
 from gctd3.checkpoint import Checkpoints
+from gctd3.device import pick_device
 from gctd3.envs.factory import build_env
 from gctd3.errors import ConfigError, RunError
 from gctd3.evaluate import evaluate
@@ -48,11 +49,12 @@ class Trainer:
         # Before the networks, so that their initial weights are the seed's.
         torch.manual_seed(settings.seed)
         self.robot = settings.load_robot()
-        self.algorithm = settings.algo.build(settings.architecture())
+        self.device = pick_device(settings.device)
+        self.algorithm = settings.algo.build(settings.architecture(self.device))
         env = settings.env
         self.explorer = Explorer(self.algorithm.actor, self.robot, env.num_envs, settings.exploration, env.control_dt)
         mirror = Mirror(self.robot, env.history) if settings.replay.mirror else None
-        self.replay = Replay(settings.replay, settings.algo.gamma, env.history, mirror)
+        self.replay = Replay(settings.replay, settings.algo.gamma, env.history, mirror, self.device)
         self.env = build_env(self.robot, env, settings.reward, settings.seed)
         judged = env.judging(settings.evaluation.episodes)
         self.evaluation_env = build_env(self.robot, judged, settings.evaluation.reward, settings.evaluation.seed)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gctd3.envs.gait import Measurement, Progress, WalkingTask
+from gctd3.envs.gait import Measurement, Progress, WalkingTask, put
 from gctd3.envs.reward import Endings, Reward
 from gctd3.errors import ConfigError
 from gctd3.robot import Robot
@@ -182,20 +182,20 @@ def test_shaping_of_one_step(robot):
 
 
 @pytest.mark.parametrize(
-    ("steps_in_air", "landing", "bonus"),
+    ("steps_in_air", "landing", "cost"),
     [
-        (10, (True, False), 2.0 * (0.20 - 0.25)),
-        (15, (True, False), 2.0 * (0.30 - 0.25)),
-        (30, (True, False), 2.0 * (0.35 - 0.25)),  # 0.6 s, of which 0.35 s count
-        (15, (True, True), 2 * 2.0 * (0.30 - 0.25)),
+        (10, (True, False), 2.0 * (0.25 - 0.20)),
+        (5, (True, False), 2.0 * (0.25 - 0.10)),
+        (30, (True, False), 0.0),
+        (10, (True, True), 2 * 2.0 * (0.25 - 0.20)),
     ],
 )
-def test_air_time_is_paid_at_touchdown(robot, steps_in_air, landing, bonus):
-    task = WalkingTask(robot, Reward(air_time=2.0))
+def test_too_short_a_time_in_the_air_costs_at_touchdown(robot, steps_in_air, landing, cost):
+    task = WalkingTask(robot, Reward(air_time=2.0, air_time_target=0.25))
     down, up = sense(feet=(True, True)), sense(feet=(False, False))
     _, outcomes = walk(task, down, *[up] * steps_in_air, sense(feet=landing), sense(feet=landing))
     paid = [float(o.terms["air_time"]) for o in outcomes]
-    assert paid == pytest.approx([0.0] * steps_in_air + [bonus, 0.0])
+    assert paid == pytest.approx([0.0] * steps_in_air + [-cost, 0.0])
 
 
 def test_measure_reads_the_simulator(task):
@@ -270,13 +270,16 @@ def test_a_mirrored_walk_is_worth_the_same(robot, graph, seed):
         assert here.terminated == there.terminated
 
 
-def test_where_takes_the_other_progress_of_chosen_robots(task):
+def test_put_replaces_the_chosen_robots_and_leaves_the_original(task):
     first, second = random_walk(np.random.default_rng(0), 2, (3,))
     old, _ = task.advance(task.begin(first), second)
-    new = task.begin(second)
-    merged = old.where(np.array([False, True, False]), new)
+    before = {f.name: getattr(old, f.name).copy() for f in fields(Progress)}
+    (one,) = random_walk(np.random.default_rng(1), 1, (1,))
+    new = task.begin(one)
+    merged = put(old, np.array([1]), new)
     for name in (f.name for f in fields(Progress)):
-        np.testing.assert_array_equal(getattr(merged, name)[1], getattr(new, name)[1], err_msg=name)
+        np.testing.assert_array_equal(getattr(old, name), before[name], err_msg=name)
+        np.testing.assert_array_equal(getattr(merged, name)[[1]], getattr(new, name), err_msg=name)
         np.testing.assert_array_equal(getattr(merged, name)[[0, 2]], getattr(old, name)[[0, 2]], err_msg=name)
 
 

@@ -24,6 +24,7 @@ STAGES = [
     "objectives.stacked objectives.td3 objectives.sac objectives",
     "algorithms.base algorithms.td3 algorithms.ddpg algorithms.sac algorithms",
     "exploration",
+    "device",
     "frame_buffer replay",
     "gait_metrics",
     "settings",

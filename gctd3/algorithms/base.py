@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,7 @@ from gctd3.nn import Network, make_actor, make_critic, make_stochastic_actor
 from gctd3.reflection import Reflection
 
 Metrics = dict[str, Tensor]
+EAGER = 2  # updates before compiling, in which every loss is called once and gets its networks
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Architecture:
         action_dim: ``A``, number of actions.
         privileged_dim: Length of the critics' extra input, 0 for none.
         reflection: How the robot looks in the mirror; equivariant networks need it.
+        device: Where the parameters lie.
     """
 
     graph: KinematicGraph
@@ -41,19 +43,23 @@ class Architecture:
     action_dim: int
     privileged_dim: int = 0
     reflection: Reflection | None = None
+    device: torch.device | str = "cpu"
 
     def actor(self) -> TensorDictModule:
         """A fresh deterministic policy."""
-        return make_actor(self.graph, self.in_features, self.action_dim, self.network, self.reflection)
+        actor = make_actor(self.graph, self.in_features, self.action_dim, self.network, self.reflection)
+        return actor.to(self.device)
 
     def stochastic_actor(self) -> TensorDictModuleBase:
         """A fresh Gaussian policy."""
-        return make_stochastic_actor(self.graph, self.in_features, self.action_dim, self.network, self.reflection)
+        sizes = self.in_features, self.action_dim
+        return make_stochastic_actor(self.graph, *sizes, self.network, self.reflection).to(self.device)
 
     def critic(self) -> TensorDictModule:
         """A fresh action-value network."""
         sizes = self.in_features, self.action_dim
-        return make_critic(self.graph, *sizes, self.network, self.privileged_dim, self.reflection)
+        critic = make_critic(self.graph, *sizes, self.network, self.privileged_dim, self.reflection)
+        return critic.to(self.device)
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,7 @@ class AlgorithmSettings(ABC):
         tau: Share of the trained parameters that enters the averaged ones at each target update.
         gamma: Discount factor.
         average_policy: Whether evaluations use the averaged actor rather than the trained one.
+        compile: Whether ``torch.compile`` compiles the losses, with CUDA graphs on a GPU.
         privileged_critic: Whether the critics also see how near each time-based ending is.
     """
 
@@ -73,6 +80,7 @@ class AlgorithmSettings(ABC):
     gamma: float = 0.99
     average_policy: bool = True
     privileged_critic: bool = False
+    compile: bool = False
 
     def __post_init__(self) -> None:
         if not self.learning_rate > 0:
@@ -99,25 +107,40 @@ class Algorithm(ABC):
     actor: TensorDictModuleBase
     loss: LossModule
     settings: AlgorithmSettings
+    LOSSES: tuple[str, ...]  # methods of the loss that an update calls
 
-    def __init__(self) -> None:
+    def __init__(self, compiled: bool = False) -> None:
         self.updates = 0
         self.optimizers: dict[str, torch.optim.Optimizer] = {}
+        self._to_compile = compiled
+
+    def update(self, batch: TensorDictBase) -> Metrics:
+        """One update on a batch of size ``[B]``, on the parameters' device; returns scalars to log."""
+        if self._to_compile and self.updates == EAGER:
+            self._compile()
+        self.updates += 1
+        return self._update(batch)
 
     @abstractmethod
-    def update(self, batch: TensorDictBase) -> Metrics:
-        """One update on a batch of size ``[B]``; returns scalars to log."""
+    def _update(self, batch: TensorDictBase) -> Metrics:
+        """What :meth:`update` does; ``updates`` counts this one already."""
+
+    def _compile(self) -> None:
+        cuda = next(self.loss.parameters()).is_cuda
+        for name in self.LOSSES:
+            compiled = torch.compile(getattr(self.loss, name), mode="reduce-overhead" if cuda else "default")
+            self.loss.__dict__[name] = _in_a_step(compiled) if cuda else compiled
 
     @abstractmethod
     def averaged_actor_params(self) -> TensorDictBase:
         """Parameters of the averaged actor."""
 
     def policy(self) -> TensorDictModuleBase:
-        """A copy of the actor to evaluate and ship: averaged if the settings say so, without gradients."""
+        """A copy of the actor to evaluate and ship, on the CPU: averaged if the settings say so, without gradients."""
         policy = copy.deepcopy(self.actor).requires_grad_(False).eval()
         if self.settings.average_policy:
             self.averaged_actor_params().data.clone().to_module(policy)
-        return policy
+        return policy.to("cpu")
 
     def optimizer(self, name: str, parameters: Iterable[nn.Parameter]) -> torch.optim.Optimizer:
         """A new Adam over the trainable ones of ``parameters``, saved under ``name``."""
@@ -139,6 +162,16 @@ class Algorithm(ABC):
         self.loss.load_state_dict(state["loss"])
         for name, optimizer in self.optimizers.items():
             optimizer.load_state_dict(state["optimizers"][name])
+
+
+def _in_a_step(compiled: Callable[..., Any]) -> Callable[..., Any]:
+    """A function on CUDA graphs, whose results would be overwritten by its next call, with results of its own."""
+
+    def call(*args: Any) -> Any:  # noqa: ANN401
+        torch.compiler.cudagraph_mark_step_begin()
+        return torch.utils._pytree.tree_map(torch.clone, compiled(*args))
+
+    return call
 
 
 def minimize(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tensordict import TensorDictBase
-from torchrl.objectives import DDPGLoss, SoftUpdate
+from torchrl.objectives import DDPGLoss
 
 from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics, minimize
+from gctd3.objectives import FusedSoftUpdate
 
 
 @dataclass(frozen=True)
@@ -22,19 +23,20 @@ class DDPGSettings(AlgorithmSettings):
 class DDPG(Algorithm):
     """One critic, and an actor that follows its gradient."""
 
+    LOSSES = ("loss_value", "loss_actor")
+
     def __init__(self, settings: DDPGSettings, architecture: Architecture) -> None:
-        super().__init__()
+        super().__init__(settings.compile)
         self.settings = settings
         self.actor = architecture.actor()
         self.loss = DDPGLoss(self.actor, architecture.critic(), loss_function="l2", delay_actor=True, delay_value=True)
         self.loss.make_value_estimator(gamma=settings.gamma)
-        self.targets = SoftUpdate(self.loss, tau=settings.tau)
+        self.targets = FusedSoftUpdate(self.loss, tau=settings.tau)
         self.critic_optimizer = self.optimizer("critic", self.loss.value_network_params.values(True, True))
         self.actor_optimizer = self.optimizer("actor", self.loss.actor_network_params.values(True, True))
 
-    def update(self, batch: TensorDictBase) -> Metrics:
+    def _update(self, batch: TensorDictBase) -> Metrics:
         """One update of the critic, the actor and the targets."""
-        self.updates += 1
         loss_critic, details = self.loss.loss_value(batch)
         minimize(self.critic_optimizer, loss_critic)
         loss_actor, _ = self.loss.loss_actor(batch)

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.objectives import SoftUpdate
 
 from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics
 from gctd3.errors import ConfigError
-from gctd3.objectives import SACLoss
+from gctd3.objectives import FusedSoftUpdate, SACLoss
 
 
 @dataclass(frozen=True)
@@ -36,8 +35,10 @@ class SACSettings(AlgorithmSettings):
 class SAC(Algorithm):
     """Twin critics, a Gaussian actor, and a temperature that holds its entropy at minus the number of actions."""
 
+    LOSSES = ("forward",)
+
     def __init__(self, settings: SACSettings, architecture: Architecture) -> None:
-        super().__init__()
+        super().__init__(settings.compile)
         self.settings = settings
         self.actor = architecture.stochastic_actor()
         self.loss = SACLoss(
@@ -48,16 +49,15 @@ class SAC(Algorithm):
             target_entropy=-float(architecture.action_dim),
         )
         self.loss.make_value_estimator(gamma=settings.gamma)
-        self.targets = SoftUpdate(self.loss, tau=settings.tau)
+        self.targets = FusedSoftUpdate(self.loss, tau=settings.tau)
         self.critic_optimizer = self.optimizer("critic", self.loss.qvalue_network_params.values(True, True))
         self.actor_optimizer = self.optimizer("actor", self.loss.actor_network_params.values(True, True))
         self.alpha_optimizer = self.optimizer("alpha", [self.loss.log_alpha])
         # SAC has no target actor; this average serves evaluation only.
         self._average = self.loss.actor_network_params.data.clone()
 
-    def update(self, batch: TensorDictBase) -> Metrics:
+    def _update(self, batch: TensorDictBase) -> Metrics:
         """One update of the critics, the actor, the temperature and the targets."""
-        self.updates += 1
         losses = self.loss(batch)
         total = losses["loss_qvalue"] + losses["loss_actor"] + losses["loss_alpha"]
         for optimizer in self.optimizers.values():

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tensordict import TensorDictBase
-from torchrl.objectives import SoftUpdate
 
 from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics, minimize
 from gctd3.errors import ConfigError
-from gctd3.objectives import TD3Loss
+from gctd3.objectives import FusedSoftUpdate, TD3Loss
 
 
 @dataclass(frozen=True)
@@ -43,8 +42,10 @@ class TD3Settings(AlgorithmSettings):
 class TD3(Algorithm):
     """Twin critics, target noise, delayed actor."""
 
+    LOSSES = ("value_loss", "actor_loss")
+
     def __init__(self, settings: TD3Settings, architecture: Architecture) -> None:
-        super().__init__()
+        super().__init__(settings.compile)
         self.settings: TD3Settings = settings
         self.actor = architecture.actor()
         # A list, because a single module would be copied and initialised anew.
@@ -58,14 +59,12 @@ class TD3(Algorithm):
             loss_function="l2",
         )
         self.loss.make_value_estimator(gamma=settings.gamma)
-        self.targets = SoftUpdate(self.loss, tau=settings.tau)
+        self.targets = FusedSoftUpdate(self.loss, tau=settings.tau)
         self.critic_optimizer = self.optimizer("critic", self.loss.qvalue_network_params.values(True, True))
         self.actor_optimizer = self.optimizer("actor", self.loss.actor_network_params.values(True, True))
 
-    def update(self, batch: TensorDictBase) -> Metrics:
+    def _update(self, batch: TensorDictBase) -> Metrics:
         """One critic update; every ``policy_delay``-th also one of the actor and the targets."""
-        self.updates += 1
-
         # Critics: towards the smaller target critic's value of the target actor's noisy action (equations 9 to 11).
         loss_critic, details = self.loss.value_loss(batch)
         minimize(self.critic_optimizer, loss_critic)

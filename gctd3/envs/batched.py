@@ -19,7 +19,8 @@ class BatchedEnv(EnvBase):
         simulation: The robots.
 
     Writes, with leading dimension ``[N]``: ``nodes [nodes, 2]``, ``counters [2 * feet]``, ``position [1]`` (m),
-    ``success [1]``, and TorchRL's reward and done keys. The action has shape ``[A]`` in [-1, 1].
+    ``success [1]``, TorchRL's reward and done keys, and what :class:`torchrl.envs.InitTracker` and
+    :class:`torchrl.envs.StepCounter` would: ``is_init [1]``, ``step_count [1]``. Actions: ``[A]`` in [-1, 1].
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -31,6 +32,8 @@ class BatchedEnv(EnvBase):
             counters=Unbounded((n, task.num_counters)),
             position=Unbounded((n, 1)),
             success=Binary(1, shape=(n, 1), dtype=torch.bool),
+            is_init=Binary(1, shape=(n, 1), dtype=torch.bool),
+            step_count=Bounded(low=0, high=torch.iinfo(torch.int64).max, shape=(n, 1), dtype=torch.int64),
             shape=(n,),
         )
         self.action_spec = Bounded(low=-1.0, high=1.0, shape=(n, len(task.robot.actuated)))
@@ -38,13 +41,15 @@ class BatchedEnv(EnvBase):
         done = Binary(1, shape=(n, 1), dtype=torch.bool)
         self.done_spec = Composite(done=done, terminated=done.clone(), truncated=done.clone(), shape=(n,))
 
-    def _observe(self, success: np.ndarray) -> dict[str, torch.Tensor]:
+    def _observe(self, success: np.ndarray, is_init: np.ndarray) -> dict[str, torch.Tensor]:
         simulation = self.simulation
         return {
             "nodes": torch.from_numpy(simulation.task.node_features(simulation.now)),
             "counters": torch.from_numpy(simulation.task.counters(simulation.progress)),
             "position": _column(simulation.now.position.astype(np.float32)),
             "success": _column(success),
+            "is_init": _column(is_init),
+            "step_count": _column(simulation.progress.step.copy()),
         }
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
@@ -53,13 +58,13 @@ class BatchedEnv(EnvBase):
             mask = chosen.reshape(-1).cpu().numpy()
         self.simulation.reset(mask)
         nothing = np.zeros(len(mask), dtype=bool)
-        return TensorDict({**self._observe(nothing), **_done(nothing, nothing)}, self.batch_size)
+        return TensorDict({**self._observe(nothing, mask), **_done(nothing, nothing)}, self.batch_size)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         outcome = self.simulation.step(tensordict.get("action").detach().cpu().numpy().astype(np.float64))
         return TensorDict(
             {
-                **self._observe(outcome.success),
+                **self._observe(outcome.success, np.zeros_like(outcome.success)),
                 **_done(outcome.terminated, outcome.truncated),
                 "reward": _column(outcome.reward.astype(np.float32)),
             },

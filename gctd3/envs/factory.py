@@ -80,7 +80,7 @@ def build_env(robot: Robot, settings: EnvSettings | LibrarySettings, reward: Rew
         from gctd3.envs.batched import BatchedEnv
 
         env = BatchedEnv(Simulation(task, settings.num_envs, settings.start, seed, settings.threads))
-        cast = []
+        extras = []
     elif settings.backend == "dm_control":
         from gctd3.envs import dmc
 
@@ -88,11 +88,11 @@ def build_env(robot: Robot, settings: EnvSettings | LibrarySettings, reward: Rew
             return dmc.torchrl_env(task, settings.start, seed + index)
 
         env = SerialEnv(settings.num_envs, [lambda i=i: make(i) for i in range(settings.num_envs)])
-        cast = [DoubleToFloat()]
+        extras = [DoubleToFloat(), InitTracker(), StepCounter()]
     else:
         raise ConfigError(f"backend must be batched or dm_control, got {settings.backend!r}.")
     stack = CatFrames(N=settings.history, dim=-1, in_keys=["nodes"], padding="same")
-    return TransformedEnv(env, Compose(*cast, InitTracker(), StepCounter(), stack))
+    return TransformedEnv(env, Compose(*extras, stack))
 
 
 def make_env(

@@ -6,7 +6,9 @@ Stage three of the data flow, shared by every backend. All functions take arrays
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import numpy as np
 
@@ -70,13 +72,17 @@ class Progress:
     hip_steps: np.ndarray
     hip_positive: np.ndarray
 
-    def where(self, mask: np.ndarray, other: Progress) -> Progress:
-        """``other`` where ``mask`` (shape ``[*]``) holds, this elsewhere."""
-        merged = {}
-        for field in fields(self):
-            mine, theirs = getattr(self, field.name), getattr(other, field.name)
-            merged[field.name] = np.where(mask.reshape(mask.shape + (1,) * (mine.ndim - mask.ndim)), theirs, mine)
-        return Progress(**merged)
+
+Arrays = TypeVar("Arrays", Measurement, Progress)
+
+
+def put(whole: Arrays, robots: np.ndarray, part: Arrays) -> Arrays:
+    """``whole``, arrays of shape ``[N, ...]``, with the rows ``robots`` replaced by those of ``part``."""
+    merged = {}
+    for field in fields(whole):
+        merged[field.name] = getattr(whole, field.name).copy()
+        merged[field.name][robots] = getattr(part, field.name)
+    return type(whole)(**merged)
 
 
 @dataclass(frozen=True)
@@ -98,7 +104,7 @@ class Outcome:
     @property
     def reward(self) -> np.ndarray:
         """The sum of the terms."""
-        return np.sum(list(self.terms.values()), axis=0)
+        return functools.reduce(np.add, self.terms.values())
 
 
 class WalkingTask:
@@ -255,9 +261,9 @@ class WalkingTask:
         if w.overspeed:
             terms["overspeed"] = -w.overspeed * np.maximum(now.velocity - w.overspeed_from, 0.0)
         if w.air_time:
-            off_time = np.abs(before.air_steps * self.control_dt - w.air_time_target)
+            short = np.maximum(w.air_time_target - before.air_steps * self.control_dt, 0.0)
             touchdown = now.feet_down & (before.air_steps > 0)
-            terms["air_time"] = -w.air_time * np.where(touchdown, off_time, 0.0).sum(axis=-1)
+            terms["air_time"] = -w.air_time * np.where(touchdown, short, 0.0).sum(axis=-1)
         if w.tilt:
             terms["tilt"] = -w.tilt * now.tilt
         for name, weight in (("yaw", w.heading), ("side", w.off_line)):

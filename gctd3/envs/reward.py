@@ -32,10 +32,10 @@ class Reward:
         single_support: Shaping: bonus for each step with exactly one foot down.
         overspeed: Shaping: punishment per m/s above ``overspeed_from`` (s/m).
         overspeed_from: Forward velocity from which ``overspeed`` counts (m/s).
-        air_time: Shaping: punishment at a foot's touchdown per second that it was longer or shorter in the air than
-            ``air_time_target`` (1/s); after ``feet_air_time`` of Rudin et al. 2022 (arXiv:2109.11978), which pays
-            for any longer time.
-        air_time_target: Time in the air that costs nothing (s).
+        air_time: Shaping: punishment at a foot's touchdown per second that it was shorter in the air than
+            ``air_time_target`` (1/s); after ``feet_air_time`` of Rudin et al. 2022 (arXiv:2109.11978), which also
+            pays for longer times.
+        air_time_target: Time in the air from which a step costs nothing (s).
         tilt: Shaping: punishment per radian between the body's vertical and the world's (1/rad).
         heading: Shaping, for a base that can turn: punishment per radian off the forward axis (1/rad).
         off_line: Shaping, for a base that can move sideways: punishment per metre off the straight line (1/m).

@@ -9,7 +9,7 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
-from gctd3.envs.gait import Measurement, Outcome, Progress, WalkingTask
+from gctd3.envs.gait import Measurement, Outcome, Progress, WalkingTask, put
 from gctd3.errors import ConfigError
 
 
@@ -93,9 +93,9 @@ class Simulation:
         task, model = self.task, self.model
         joints_q = [joint.qpos for joint in task.robot.joints]
         joints_v = [joint.qvel for joint in task.robot.joints]
-        sensors = np.zeros((self.num_robots, model.nsensordata))
+        sensors = np.zeros((len(robots), model.nsensordata))
         data = self._data[0]
-        for robot in robots:
+        for i, robot in enumerate(robots):
             mujoco.mj_resetData(model, data)
             data.qpos[joints_q] += self.rng.uniform(-self.start.angle_noise, self.start.angle_noise, len(joints_q))
             data.qvel[joints_v] += self.rng.uniform(
@@ -104,15 +104,10 @@ class Simulation:
             mujoco.mj_forward(model, data)
             # All of it: actuators can have a state of their own.
             mujoco.mj_getState(model, data, self.state[robot], mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
-            sensors[robot] = data.sensordata
-        fresh = task.measure(self.state[:, self._qpos], self.state[:, self._qvel], sensors)
-        pick = {name: getattr(self.now, name) for name in Measurement.__dataclass_fields__}
-        for name, old in pick.items():
-            new = np.array(old)
-            new[robots] = getattr(fresh, name)[robots]
-            pick[name] = new
-        self.now = Measurement(**pick)
-        self.progress = self.progress.where(np.asarray(mask), task.begin(self.now))
+            sensors[i] = data.sensordata
+        fresh = task.measure(self.state[robots, self._qpos], self.state[robots, self._qvel], sensors)
+        self.now = put(self.now, robots, fresh)
+        self.progress = put(self.progress, robots, task.begin(fresh))
 
     def step(self, action: np.ndarray) -> Outcome:
         """One control step of every robot; ``action [N, A]`` in [-1, 1] maps affinely onto the servos' ranges.

@@ -71,7 +71,7 @@ class GraphLayer(nn.Module):
         if self.weight.ndim == 2:
             out = mixed @ self.weight if self.bias is None else functional.linear(mixed, self.weight.T, self.bias)
         else:
-            out = stacked_linear(mixed, self.weight, self.bias)
+            out = stacked_linear(mixed, self.weight.mT, self.bias)
         return out.reshape(*out.shape[:-2], n, batch, self.out_features)
 
     def mix(self, nodes: Tensor) -> Tensor:

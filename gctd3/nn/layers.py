@@ -6,21 +6,46 @@ those of its critics), the forward pass is one batched matrix product over the `
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 
+class _StackedLinear(torch.autograd.Function):
+    """``E`` linear maps at once, with gradients in the layout of their parameters (autograd's own need a copy each)."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:  # noqa: ANN401 - PyTorch's
+        ctx.save_for_backward(x, weight)
+        return torch.baddbmm(bias.unsqueeze(-2), x.expand(len(weight), *x.shape[-2:]), weight.mT)
+
+    @staticmethod
+    @once_differentiable  # type: ignore[untyped-decorator]
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401 - PyTorch's
+        x, weight = ctx.saved_tensors
+        for_x = for_weight = for_bias = None
+        if ctx.needs_input_grad[0]:
+            for_x = gradient @ weight
+            for_x = for_x if x.ndim == 3 else for_x.sum(0)
+        if ctx.needs_input_grad[1]:
+            for_weight = gradient.mT @ x.expand(len(weight), *x.shape[-2:])
+        if ctx.needs_input_grad[2]:
+            for_bias = gradient.sum(-2)
+        return for_x, for_weight, for_bias
+
+
 def stacked_linear(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
-    """``x @ weight + bias`` for each of ``E`` networks.
+    """``x @ weight.mT + bias`` for each of ``E`` networks; differentiable once.
 
     Shapes:
-        ``x`` ``[B, I]`` (shared) or ``[E, B, I]``, ``weight`` ``[E, I, O]``, ``bias`` ``[E, O]``; output ``[E, B, O]``.
+        ``x`` ``[B, I]`` (shared) or ``[E, B, I]``, ``weight`` ``[E, O, I]``, ``bias`` ``[E, O]``; output ``[E, B, O]``.
     """
-    x = x.expand(weight.shape[0], *x.shape[-2:])
     if bias is None:
-        return torch.bmm(x, weight)
-    return torch.baddbmm(bias.unsqueeze(-2), x, weight)
+        return x @ weight.mT
+    return _StackedLinear.apply(x, weight, bias)
 
 
 class Linear(nn.Linear):
@@ -30,7 +55,7 @@ class Linear(nn.Linear):
         """Apply the layer, or all of a stack."""
         if self.weight.ndim == 2:
             return functional.linear(input, self.weight, self.bias)
-        return stacked_linear(input, self.weight.mT, self.bias)
+        return stacked_linear(input, self.weight, self.bias)
 
 
 class LayerNorm(nn.LayerNorm):

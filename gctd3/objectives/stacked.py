@@ -7,8 +7,9 @@ from collections.abc import Callable
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
+from torchrl.objectives import SoftUpdate
 
 
 class Networks:
@@ -38,14 +39,48 @@ class Networks:
         return Networks()
 
 
-def values(critic: TensorDictModule, inputs: TensorDictBase) -> Tensor:
+def output(network: TensorDictModuleBase, inputs: TensorDictBase, key: str, **replaced: Tensor) -> Tensor:
+    """What ``network`` writes as ``key``, without writing it.
+
+    Args:
+        network: Any; one that wraps a single plain module is called on tensors, which spares a TensorDict's overhead.
+        inputs: Holds ``network.in_keys``, batch size ``[B]``; left as it is.
+        key: Of the output.
+        **replaced: Inputs to take instead of the ones in ``inputs``.
+    """
+    if type(network) is TensorDictModule and network.out_keys == [key]:
+        given = [replaced[k] if k in replaced else inputs.get(k) for k in network.in_keys]
+        return network.module(*given)
+    return network(inputs.copy().update(replaced)).get(key)
+
+
+def values(critic: TensorDictModule, inputs: TensorDictBase, **replaced: Tensor) -> Tensor:
     """Action values of one batch.
 
     Args:
         critic: One of :func:`gctd3.make_critic`, or any whose layers take stacked parameters.
         inputs: Holds ``critic.in_keys``, batch size ``[B]``.
+        **replaced: Inputs to take instead of the ones in ``inputs``.
 
     Returns:
         ``[B]``, or ``[E, B]`` if the critic's parameters are stacked to ``[E, ...]``.
     """
-    return torch.squeeze(critic.module(*(inputs.get(key) for key in critic.in_keys)), -1)
+    return output(critic, inputs, critic.out_keys[0], **replaced).squeeze(-1)
+
+
+class FusedSoftUpdate(SoftUpdate):
+    """:class:`torchrl.objectives.SoftUpdate` of all parameters in one call instead of one call for each.
+
+    Make it after the loss is on its device.
+    """
+
+    def step(self) -> None:
+        """Move the targets towards the trained parameters."""
+        if "_lists" not in self.__dict__:
+            pairs = [(t.data, s.data) for t, s in zip(_leaves(self._targets), _leaves(self._sources), strict=True)]
+            self.__dict__["_lists"] = tuple(map(list, zip(*pairs, strict=True)))
+        torch._foreach_lerp_(*self.__dict__["_lists"], 1.0 - self.eps)
+
+
+def _leaves(tensordict: TensorDictBase) -> list[Tensor]:
+    return [value for _, value in sorted(tensordict.flatten_keys(".").items())]

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
 from torchrl.objectives.utils import distance_loss
 
-from gctd3.objectives.stacked import Networks, values
+from gctd3.objectives.stacked import Networks, output, values
 
 
 class TD3Loss(TorchRLTD3Loss):
@@ -36,25 +36,24 @@ class TD3Loss(TorchRLTD3Loss):
 
     def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Minus the first critic's value of the actor's action (equation below 11 of the paper)."""
-        actor = self._networks.get("actor", self.actor_network, lambda: self.actor_network_params)
-        critic = self._networks.get("first critic", self.qvalue_network, lambda: self.qvalue_network_params.data[0])
-        value = values(critic, actor(tensordict.copy()))
+        networks, key = self._networks, self.tensor_keys.action
+        actor = networks.get("actor", self.actor_network, lambda: self.actor_network_params)
+        critic = networks.get("first critic", self.qvalue_network, lambda: self.qvalue_network_params.data[0])
+        value = values(critic, tensordict, **{key: output(actor, tensordict, key)})
         loss = self._reduce_loss(-value, tensordict=tensordict, weights=self._maybe_get_priority_weight(tensordict))
         return loss, {"state_action_value_actor": value.detach()}
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Both critics' distance from the target of equation 9."""
-        networks, keys = self._networks, self.tensor_keys
-        action = tensordict.get(keys.action)
-        noise = (torch.randn_like(action) * self.policy_noise).clamp(-self.noise_clip, self.noise_clip)
+        networks, key = self._networks, self.tensor_keys.action
+        taken, following = tensordict.get(key), tensordict.get("next")
+        noise = (torch.randn_like(taken) * self.policy_noise).clamp(-self.noise_clip, self.noise_clip)
         with torch.no_grad():
             actor = networks.get("target actor", self.actor_network, lambda: self.target_actor_network_params)
             critics = networks.get("target critics", self.qvalue_network, lambda: self.target_qvalue_network_params)
-            following = actor(tensordict.get("next").copy())
-            following.set(keys.action, (following.get(keys.action) + noise).clamp(self.min_action, self.max_action))
-            next_value = values(critics, following).min(0)[0]
-            following.set(keys.state_action_value, next_value.unsqueeze(-1))
-            target = self.value_estimator.value_estimate(tensordict.copy().set("next", following)).squeeze(-1)
+            action = (output(actor, following, key) + noise).clamp(self.min_action, self.max_action)
+            next_value = values(critics, following, **{key: action}).min(0)[0]
+            target = self.value_estimator.value_estimate(tensordict, next_value=next_value.unsqueeze(-1)).squeeze(-1)
 
         critics = networks.get("critics", self.qvalue_network, lambda: self.qvalue_network_params)
         value = values(critics, tensordict)

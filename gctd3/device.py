@@ -1,0 +1,37 @@
+"""Where tensors live and are computed."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import torch
+
+from gctd3.errors import ConfigError
+
+NAMES = r"cpu|cuda(:\d+)?"
+
+
+def check_device(name: str) -> None:
+    """Raise a :class:`ConfigError` unless ``name`` is ``cpu``, ``cuda`` or ``cuda:0`` and so on."""
+    if not re.fullmatch(NAMES, name):
+        raise ConfigError(f"device must be cpu, cuda, or cuda:0 and so on, got {name!r}.")
+
+
+def pick_device(name: str) -> torch.device:
+    """The device of that name, or the CPU, after a line on stderr that says why, if there is no GPU.
+
+    Raises:
+        ConfigError: If the name is none, or there are GPUs but not this one.
+    """
+    check_device(name)
+    if name == "cpu":
+        return torch.device("cpu")
+    if not torch.cuda.is_available():
+        build = "this PyTorch is a CPU build" if torch.version.cuda is None else "PyTorch finds no usable GPU or driver"
+        print(f"device={name}: {build}; running on the CPU instead.", file=sys.stderr)
+        return torch.device("cpu")
+    device = torch.device(name)
+    if (device.index or 0) >= torch.cuda.device_count():
+        raise ConfigError(f"device={name}: there are {torch.cuda.device_count()} GPUs, counted from cuda:0.")
+    return device
