@@ -38,8 +38,9 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
             "gctd3 was imported from a source tree in which it is not installed: "
             "run `pip install -e .` there, or leave it."
         )
-    # The name of the robot in a run's path, whether it ships with gctd3 or is a file.
-    OmegaConf.register_new_resolver("robot_stem", lambda name: Path(str(name)).stem, replace=True)
+    # What a run is about, in its path.
+    OmegaConf.register_new_resolver("subject", _subject, replace=True)
+    sys.argv[1:] = map(_robot_file, sys.argv[1:])
     # Hydra would print and exit; this way its errors come here, to be said in the library's words.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
@@ -54,6 +55,21 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
         if GlobalHydra.instance().is_initialized():
             raise
         _fail(f"The arguments cannot be combined: {error}")
+
+
+def _robot_file(argument: str) -> str:
+    """``robot=my.xml`` as Hydra wants it said: the name of the group's default robot replaced by the file."""
+    key, _, value = argument.partition("=")
+    files = value.split(",")
+    if key != "robot" or not all(file.endswith(".xml") for file in files):
+        return argument
+    # Quoted, so that a path may hold what Hydra's grammar would read as its own.
+    return "robot.name=" + ",".join("'" + file.replace("'", "\\'") + "'" for file in files)
+
+
+def _subject(robot: object, env: str) -> str:
+    """The robot that walks, whether it ships with gctd3 or is a file; or the library's task."""
+    return Path(str(robot)).stem if env == "walk" else env
 
 
 def _guarded(task: Callable[[DictConfig], None], config: str) -> Callable[[DictConfig], None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +18,11 @@ from gctd3 import gait_metrics
 from gctd3.cli import command
 from gctd3.envs.factory import build_env
 from gctd3.envs.gait import FEATURES
+from gctd3.envs.library import LibrarySettings
 from gctd3.envs.reward import Reward
 from gctd3.errors import ConfigError, check_seed
 from gctd3.graph import KinematicGraph
+from gctd3.nodes import foot_slots
 from gctd3.robot import Robot
 from gctd3.settings import build
 
@@ -40,6 +42,7 @@ class Episode:
         hips: Hip angles in the sense of the first leg's, one column per foot, shape ``[T, feet]`` (rad).
         feet_down: Contacts, shape ``[T, feet]``.
         success: Whether it reached the finish.
+        pairs: Feet on the right and left that mirror each other.
     """
 
     reward: np.ndarray
@@ -48,6 +51,7 @@ class Episode:
     hips: np.ndarray
     feet_down: np.ndarray
     success: bool
+    pairs: tuple[tuple[int, int], ...] = ((0, 1),)
 
     def velocity(self, dt: float) -> float:
         """Distance over time (m/s)."""
@@ -58,9 +62,10 @@ class Episode:
         walked = self.position > self.position[-1] - LAST_METRES
         if self.position[-1] < LAST_METRES or walked.sum() < 2:
             return None
+        hips = [gait_metrics.correlation(self.hips[walked, i], self.hips[walked, k]) for i, k in self.pairs]
         flight, single, double = gait_metrics.support_fractions(self.feet_down[walked])
         return {
-            "hip_correlation": gait_metrics.correlation(self.hips[walked, 0], self.hips[walked, 1]),
+            "hip_correlation": float(np.mean(hips)) if hips else math.nan,
             "stride_hz": gait_metrics.stride_frequency(self.feet_down[walked], dt),
             "flight_fraction": flight,
             "single_support_fraction": single,
@@ -119,6 +124,7 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int
         control_dt: Control period (s).
     """
     names = KinematicGraph.from_robot(robot).nodes
+    ground, feature = foot_slots(robot).T
     hips = [names.index(leg[0].name) for leg in robot.legs]
     count = env.batch_size[0]
     alive = torch.ones(count, dtype=torch.bool)
@@ -145,7 +151,8 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int
                 position=position[:steps, i],
                 height=mine[:, 0, 0],
                 hips=mine[:, hips, 0] * robot.hip_signs,
-                feet_down=mine[:, -1] > 0.5,
+                feet_down=mine[:, ground, feature] > 0.5,
+                pairs=tuple((i, other) for i, other in enumerate(robot.mirror_feet) if i < other),
                 success=bool(success[:steps, i].any()),
             )
         )
@@ -192,10 +199,12 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     trained = load_settings(run)
     policy = load_policy(run)
     robot = trained.load_robot()
-    judged = replace(trained.env, backend="batched", num_envs=settings.episodes, threads=settings.threads)
+    judged = trained.env.judging(settings.episodes, settings.threads)
     env = build_env(robot, judged, settings.reward, settings.seed)
     result = evaluate(policy, env, robot, settings.seed, judged.control_dt)
+    task = {"task": judged.task} if isinstance(judged, LibrarySettings) else {}
     report: dict[str, object] = {
+        **task,
         **result.summary(),
         "gait": result.gait(),
         "seeds": {"training": trained.seed, "evaluation": settings.seed},
@@ -223,7 +232,8 @@ def table(report: dict[str, object]) -> str:
         text = form.format(values[key])
         return f"{text} ± {form.format(values[spread])}" if spread else text
 
-    paper: dict[str, object] = {**PAPER, "episodes": 50}
+    # The paper has nothing to say of a library's task.
+    paper: dict[str, object] = {} if "task" in report else {**PAPER, "episodes": 50}
     for label, key, form, spread in rows:
         lines.append(f"{label:34}{cell(report, key, form, spread):>18}{cell(paper, key, form, spread):>18}")
     gait = report["gait"]

@@ -143,9 +143,16 @@ class Explorer(TensorDictModuleBase):
         self.out_keys = ["action"]
         self.actor = actor
         self.settings = settings
-        self.rhythm = Rhythm(robot, num_robots, settings.frequency, control_dt)
+        # Only a robot whose joints have mirror images, and only when asked for.
+        rhythmic = settings.warmup == "rhythmic"
+        if rhythmic and len(robot.actuated) != robot.model.nu:
+            raise ConfigError(
+                f"exploration.warmup must be uniform, got rhythmic: {robot.model.nu - len(robot.actuated)} of the "
+                f"{robot.model.nu} actions move no joint, and only joints have a mirror image."
+            )
+        self.rhythm = Rhythm(robot, num_robots, settings.frequency, control_dt) if rhythmic else None
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
-        self.register_buffer("held", torch.zeros(num_robots, len(robot.actuated)))
+        self.register_buffer("held", torch.zeros(num_robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
         self.register_buffer("sigma", torch.logspace(math.log10(low), math.log10(high), num_robots)[:, None])
 
@@ -171,7 +178,7 @@ class Explorer(TensorDictModuleBase):
         return tensordict
 
     def _warmup(self, is_init: Tensor) -> Tensor:
-        if self.settings.warmup == "rhythmic":
+        if self.rhythm is not None:
             return self.rhythm(is_init)
         if (int(self.frames) // len(self.held)) % self.settings.hold == 0:
             self.held.uniform_(-1.0, 1.0)

@@ -15,8 +15,9 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from gctd3.cli import command
 from gctd3.envs.dmc import Physics
 from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.envs.library import LibrarySettings
 from gctd3.envs.reward import Reward
-from gctd3.errors import ConfigError, RenderError, check_seed
+from gctd3.errors import ConfigError, RenderError, RunError, check_seed
 from gctd3.robot import Robot
 from gctd3.settings import build
 
@@ -156,6 +157,8 @@ def render_run(settings: RenderSettings) -> Path:
     from gctd3.run_config import load_settings
 
     trained = load_settings(settings.run)
+    if isinstance(trained.env, LibrarySettings):
+        raise RunError(f"{settings.run} was trained on {trained.env.task}: render draws the walking task only.")
     robot = trained.load_robot()
     walk = record(load_policy(settings.run), robot, trained.env, settings.seed)
     dt, out, size = trained.env.control_dt, Path(settings.out), (settings.width, settings.height)

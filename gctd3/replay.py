@@ -16,7 +16,7 @@ from torchrl.envs.transforms import MultiStepTransform, Transform
 from gctd3.envs.gait import FEATURES
 from gctd3.errors import ConfigError
 from gctd3.frame_buffer import FrameBuffer
-from gctd3.graph import KinematicGraph
+from gctd3.reflection import Reflection
 from gctd3.robot import Robot
 
 KEPT = ("nodes", "counters", "action", ("next", "nodes"), ("next", "counters"), ("next", "reward"))
@@ -63,24 +63,15 @@ class Mirror(Transform):
 
     def __init__(self, robot: Robot, history: int) -> None:
         super().__init__()
-        graph = KinematicGraph.from_robot(robot)
-        width = FEATURES * history
-        source = np.arange(graph.num_nodes * width).reshape(graph.num_nodes, width)[list(graph.mirror)]
-        sign = np.ones_like(source, dtype=np.float32)
-        for row, name in enumerate(graph.nodes[1:-1], start=1):
-            sign[row] = robot.mirror_sign(name)
-        # The ground node's features are one per foot, so they change places too.
-        feet = np.array([robot.feet.index(robot.mirror_name(foot)) for foot in robot.feet])
-        source[-1] = source[-1].reshape(history, FEATURES)[:, feet].reshape(-1)
-        hips = len(feet) + feet
-        actions, action_sign = robot.action_mirror
-        self.register_buffer("nodes_from", torch.from_numpy(source.reshape(-1)))
-        self.register_buffer("nodes_sign", torch.from_numpy(sign.reshape(-1)))
-        self.register_buffer("counters_from", torch.from_numpy(np.concatenate([feet, hips])))
-        self.register_buffer("actions_from", torch.from_numpy(actions))
-        self.register_buffer("actions_sign", torch.from_numpy(action_sign.astype(np.float32)))
-        hip_sign = [robot.mirror_sign(leg[0].name) for leg in robot.legs]
-        self.register_buffer("counters_sign", torch.tensor([1.0] * len(feet) + hip_sign))
+        reflection = Reflection.from_robot(robot, FEATURES)
+        tables = {
+            "nodes": reflection.nodes(FEATURES * history),
+            "counters": reflection.counters,
+            "actions": reflection.action,
+        }
+        for name, table in tables.items():
+            self.register_buffer(f"{name}_from", torch.from_numpy(table.source))
+            self.register_buffer(f"{name}_sign", torch.from_numpy(table.sign.astype(np.float32)))
 
     def reflect(self, key: str, values: Tensor) -> Tensor:
         """``values`` (``nodes [B, N, F]``, ``counters [B, C]`` or ``action [B, A]``) of the mirrored robot."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -13,11 +13,13 @@ from gctd3.algorithms.base import AlgorithmSettings, Architecture
 from gctd3.device import check_device
 from gctd3.envs.factory import EnvSettings
 from gctd3.envs.gait import FEATURES, WalkingTask
+from gctd3.envs.library import LibrarySettings
 from gctd3.envs.reward import Reward
 from gctd3.errors import ConfigError, check_seed
 from gctd3.exploration import ExplorationSettings
 from gctd3.graph import KinematicGraph
 from gctd3.nn import Network
+from gctd3.reflection import Reflection
 from gctd3.replay import ReplaySettings
 from gctd3.robot import Robot
 
@@ -46,14 +48,26 @@ class RobotSettings:
         name: A shipped robot, or the path of an MJCF file.
         graph: Preset of :meth:`gctd3.KinematicGraph.from_robot`.
         graph_seed: For ``graph=random``.
+        feet: Names of the bodies that may touch the ground; ``None`` for those that stand on it.
+        forward: Where the robot is to go, of the world's axes; ``None`` to find out.
     """
 
     name: str = "biped"
     graph: Literal["tree", "authors", "edgeless", "complete", "random"] = "tree"
     graph_seed: int = 0
+    feet: Sequence[str] | None = None
+    forward: Literal["x", "-x", "y", "-y"] | None = None
 
     def __post_init__(self) -> None:
         check_seed("graph_seed", self.graph_seed)
+
+    def load(self, feet: Sequence[str] | None = None) -> Robot:
+        """The robot, with other feet if some are named.
+
+        Raises:
+            RobotError: If it cannot be used.
+        """
+        return Robot.from_mjcf(self.name, self.feet if feet is None else feet, self.forward)
 
 
 @dataclass(frozen=True)
@@ -145,7 +159,7 @@ class TrainSettings:
     """
 
     robot: RobotSettings
-    env: EnvSettings
+    env: EnvSettings | LibrarySettings
     reward: Reward
     algo: AlgorithmSettings
     network: Network
@@ -189,23 +203,29 @@ class TrainSettings:
                 f"got {self.replay.capacity}."
             )
 
+        if self.replay.mirror and isinstance(self.env, LibrarySettings):
+            raise ConfigError("replay.mirror must be false for a library's task, got true: use replay=plain.")
+
     def load_robot(self) -> Robot:
         """The robot.
 
         Raises:
             RobotError: If it cannot be used.
         """
-        return Robot.from_mjcf(self.robot.name)
+        return self.env.robot if isinstance(self.env, LibrarySettings) else self.robot.load()
 
     def architecture(self, device: torch.device | str = "cpu") -> Architecture:
         """What the networks are built from, to lie on ``device``."""
         robot = self.load_robot()
-        task = WalkingTask(robot, self.reward, self.env.endings, self.env.control_dt)
+        privileged = 0
+        if self.algo.privileged_critic and isinstance(self.env, EnvSettings):
+            privileged = WalkingTask(robot, self.reward, self.env.endings, self.env.control_dt).num_counters
         return Architecture(
             graph=KinematicGraph.from_robot(robot, self.robot.graph, self.robot.graph_seed),
             network=self.network,
             in_features=FEATURES * self.env.history,
-            action_dim=len(robot.actuated),
-            privileged_dim=task.num_counters if self.algo.privileged_critic else 0,
+            action_dim=int(robot.model.nu),
+            privileged_dim=privileged,
+            reflection=Reflection.from_robot(robot, FEATURES) if self.network.equivariant else None,
             device=device,
         )

@@ -7,7 +7,7 @@ import math
 import random
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +87,7 @@ class Trainer:
         self.replay = Replay(settings.replay, settings.algo.gamma, env.history, mirror, self.device)
         training_env = build_env(self.robot, env, settings.reward, settings.seed)
         self.collector = InlineCollector(training_env, self.explorer, settings.steps)
-        judged = replace(env, backend="batched", num_envs=settings.evaluation.episodes)
+        judged = env.judging(settings.evaluation.episodes)
         self.evaluation_env = build_env(self.robot, judged, settings.evaluation.reward, settings.evaluation.seed)
         graph = settings.architecture().graph
         said = {"graph": {"nodes": graph.nodes, "edges": graph.edges}, **(about or {})}

@@ -50,9 +50,9 @@ def move_targets(loss):
     """Targets that differ from what they follow, equally in every loss."""
     generator = torch.Generator().manual_seed(7)
     for name in LEARNT:
-        learnt, target = (getattr(loss, prefix + name).data.flatten_keys(".") for prefix in ("", "target_"))
-        for key, value in sorted(target.items()):
-            if "propagation" not in key:
+        learnt, target = (getattr(loss, prefix + name).flatten_keys(".") for prefix in ("", "target_"))
+        for key, value in sorted(target.data.items()):
+            if learnt[key].requires_grad:  # constants of the graph do not
                 value.add_(0.1 * torch.randn(value.shape, generator=generator))
                 assert not torch.allclose(value, learnt[key])
 

@@ -17,6 +17,7 @@ from torchrl.objectives import LossModule
 from gctd3.errors import ConfigError
 from gctd3.graph import KinematicGraph
 from gctd3.nn import Network, make_actor, make_critic, make_stochastic_actor
+from gctd3.reflection import Reflection
 
 Metrics = dict[str, Tensor]
 EAGER = 2  # updates before compiling, in which every loss is called once and gets its networks
@@ -32,6 +33,7 @@ class Architecture:
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
         privileged_dim: Length of the critics' extra input, 0 for none.
+        reflection: How the robot looks in the mirror; equivariant networks need it.
         device: Where the parameters lie.
     """
 
@@ -40,19 +42,23 @@ class Architecture:
     in_features: int
     action_dim: int
     privileged_dim: int = 0
+    reflection: Reflection | None = None
     device: torch.device | str = "cpu"
 
     def actor(self) -> TensorDictModule:
         """A fresh deterministic policy."""
-        return make_actor(self.graph, self.in_features, self.action_dim, self.network).to(self.device)
+        actor = make_actor(self.graph, self.in_features, self.action_dim, self.network, self.reflection)
+        return actor.to(self.device)
 
     def stochastic_actor(self) -> TensorDictModuleBase:
         """A fresh Gaussian policy."""
-        return make_stochastic_actor(self.graph, self.in_features, self.action_dim, self.network).to(self.device)
+        sizes = self.in_features, self.action_dim
+        return make_stochastic_actor(self.graph, *sizes, self.network, self.reflection).to(self.device)
 
     def critic(self) -> TensorDictModule:
         """A fresh action-value network."""
-        critic = make_critic(self.graph, self.in_features, self.action_dim, self.network, self.privileged_dim)
+        sizes = self.in_features, self.action_dim
+        critic = make_critic(self.graph, *sizes, self.network, self.privileged_dim, self.reflection)
         return critic.to(self.device)
 
 

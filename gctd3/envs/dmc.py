@@ -26,7 +26,7 @@ STATE = mujoco_api.mjtState.mjSTATE_INTEGRATION.value
 
 
 class Physics(mujoco.Physics):
-    """A robot on a boom, with its sensors in the task's terms."""
+    """A robot with its sensors in the task's terms."""
 
     def measure(self, task: WalkingTask) -> Measurement:
         """What the robot senses now."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from torchrl.envs import (
@@ -17,6 +17,7 @@ from torchrl.envs import (
 )
 
 from gctd3.envs.gait import WalkingTask
+from gctd3.envs.library import LibrarySettings, build_library_env
 from gctd3.envs.reward import Endings, Reward
 from gctd3.envs.simulation import Simulation, Start
 from gctd3.errors import ConfigError
@@ -56,9 +57,13 @@ class EnvSettings:
         if not self.control_dt > 0:
             raise ConfigError(f"control_dt must be above 0 s, got {self.control_dt}.")
 
+    def judging(self, episodes: int, threads: int | None = None) -> EnvSettings:
+        """The same task for one evaluation: a robot for each episode, all at once."""
+        return replace(self, backend="batched", num_envs=episodes, threads=threads)
 
-def build_env(robot: Robot, settings: EnvSettings, reward: Reward, seed: int) -> EnvBase:
-    """The walking task on a robot.
+
+def build_env(robot: Robot, settings: EnvSettings | LibrarySettings, reward: Reward, seed: int) -> EnvBase:
+    """The walking task on a robot, or a library's task on its own, whose reward is its own too.
 
     Returns:
         An environment of batch size ``[num_envs]`` that writes ``nodes [N, 2 * history]`` (oldest frame first),
@@ -67,6 +72,8 @@ def build_env(robot: Robot, settings: EnvSettings, reward: Reward, seed: int) ->
     Raises:
         ConfigError: If a setting is out of range, or the robot does not fit the task.
     """
+    if isinstance(settings, LibrarySettings):
+        return build_library_env(settings, seed)
     task = WalkingTask(robot, reward, settings.endings, settings.control_dt)
     env: EnvBase
     if settings.backend == "batched":

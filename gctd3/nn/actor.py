@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from tensordict.nn import NormalParamExtractor, TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
@@ -9,7 +11,10 @@ from torchrl.data import Bounded
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
 from gctd3.graph import KinematicGraph
+from gctd3.nn.encoder import GraphEncoder
 from gctd3.nn.network import Network
+from gctd3.nn.readout import JointReadout
+from gctd3.reflection import Reflection
 
 NODES, ACTION = "nodes", "action"
 
@@ -21,29 +26,53 @@ class Actor(nn.Module):
         network: Sizes and kind of the network.
         graph: The robot's graph.
         in_features: ``F``, features of a node over all stacked frames.
-        out_features: Length of the output.
+        action_dim: ``A``, number of actions.
+        per_action: Numbers for each action; the output holds the first of all actions, then the second.
         squash: Whether a tanh ends the network.
+        reflection: How the robot looks in the mirror, if ``network.equivariant``.
 
     Shapes:
-        input ``[*, N, F]``, output ``[*, out_features]``.
+        input ``[*, N, F]``, output ``[*, per_action * A]``.
     """
 
     def __init__(
-        self, network: Network, graph: KinematicGraph, in_features: int, out_features: int, squash: bool = True
+        self,
+        network: Network,
+        graph: KinematicGraph,
+        in_features: int,
+        action_dim: int,
+        per_action: int = 1,
+        squash: bool = True,
+        reflection: Reflection | None = None,
     ) -> None:
         super().__init__()
         self.encoder = network.encoder(graph, in_features)
-        self.head = network.head(self.encoder.out_features, out_features)
+        self.head: nn.Module
+        if isinstance(self.encoder, GraphEncoder) and network.readout == "joint":
+            self.head = network.joint_readout(graph, self.encoder.width, action_dim, per_action)
+        else:
+            self.head = network.head(self.encoder.out_features, per_action * action_dim)
+        self.symmetry = network.symmetry(reflection, in_features, action_dim, per_action)
         self.squash = squash
 
     def forward(self, nodes: Tensor) -> Tensor:
         """Act on ``nodes [*, N, F]``."""
-        out = self.head(self.encoder(nodes))
+        out = self._act(nodes) if self.symmetry is None else self.symmetry(self._act, nodes)
         return torch.tanh(out) if self.squash else out
+
+    def _act(self, nodes: Tensor) -> Tensor:
+        if not isinstance(self.head, JointReadout):
+            return self.head(self.encoder(nodes))
+        out = self.head(cast(GraphEncoder, self.encoder).codes(nodes))
+        return out if out.ndim == 3 else out.reshape(*nodes.shape[:-2], out.shape[-1])
 
 
 def make_actor(
-    graph: KinematicGraph, in_features: int = 10, action_dim: int = 6, network: Network | None = None
+    graph: KinematicGraph,
+    in_features: int = 10,
+    action_dim: int = 6,
+    network: Network | None = None,
+    reflection: Reflection | None = None,
 ) -> TensorDictModule:
     """A deterministic policy.
 
@@ -52,6 +81,7 @@ def make_actor(
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
         network: Sizes and kind; the paper's GCN by default.
+        reflection: How the robot looks in the mirror, for an equivariant network.
 
     Returns:
         A module that reads ``"nodes"`` ``[*, N, F]`` and writes ``"action"`` ``[*, A]`` in [-1, 1].
@@ -63,20 +93,26 @@ def make_actor(
         >>> actor(TensorDict({"nodes": torch.zeros(4, 8, 10)}, [4]))["action"].shape
         torch.Size([4, 6])
     """
-    module = Actor(network or Network(), graph, in_features, action_dim)
+    module = Actor(network or Network(), graph, in_features, action_dim, reflection=reflection)
     return TensorDictModule(module, in_keys=[NODES], out_keys=[ACTION])
 
 
 def make_stochastic_actor(
-    graph: KinematicGraph, in_features: int = 10, action_dim: int = 6, network: Network | None = None
+    graph: KinematicGraph,
+    in_features: int = 10,
+    action_dim: int = 6,
+    network: Network | None = None,
+    reflection: Reflection | None = None,
 ) -> TensorDictModuleBase:
-    """A tanh-squashed Gaussian policy (SAC, arXiv:1812.05905).
+    """A tanh-squashed Gaussian policy (SAC, arXiv:1812.05905); arguments as of :func:`make_actor`.
 
     Returns:
         A :class:`~torchrl.modules.ProbabilisticActor` that reads ``"nodes"`` ``[*, N, F]`` and writes ``"loc"``,
         ``"scale"`` and ``"action"``, each ``[*, A]``.
     """
-    module = Actor(network or Network(), graph, in_features, 2 * action_dim, squash=False)
+    module = Actor(
+        network or Network(), graph, in_features, action_dim, per_action=2, squash=False, reflection=reflection
+    )
     parameters = TensorDictModule(
         nn.Sequential(module, NormalParamExtractor(scale_lb=1e-3)), in_keys=[NODES], out_keys=["loc", "scale"]
     )

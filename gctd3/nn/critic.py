@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
 from gctd3.graph import KinematicGraph
 from gctd3.nn.actor import ACTION, NODES
+from gctd3.nn.encoder import GraphEncoder
 from gctd3.nn.network import Network
+from gctd3.nn.readout import PooledReadout
+from gctd3.reflection import Reflection
 
 VALUE = "state_action_value"
 PRIVILEGED = "counters"
@@ -25,23 +30,43 @@ class Critic(nn.Module):
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
         privileged_dim: Length of the extra input.
+        reflection: How the robot looks in the mirror, if ``network.equivariant``.
 
     Shapes:
         inputs ``[*, N, F]``, ``[*, A]`` and, if ``privileged_dim > 0``, ``[*, privileged_dim]``; output ``[*, 1]``.
     """
 
     def __init__(
-        self, network: Network, graph: KinematicGraph, in_features: int, action_dim: int, privileged_dim: int = 0
+        self,
+        network: Network,
+        graph: KinematicGraph,
+        in_features: int,
+        action_dim: int,
+        privileged_dim: int = 0,
+        reflection: Reflection | None = None,
     ) -> None:
         super().__init__()
         self.encoder = network.encoder(graph, in_features)
-        self.head = network.head(self.encoder.out_features + action_dim + privileged_dim, 1)
+        self.head: nn.Module
+        if isinstance(self.encoder, GraphEncoder) and network.readout == "joint":
+            self.head = network.pooled_readout(graph, self.encoder.width, action_dim, privileged_dim)
+        else:
+            self.head = network.head(self.encoder.out_features + action_dim + privileged_dim, 1)
+        self.symmetry = network.symmetry(reflection, in_features, action_dim, per_action=0)
 
     def forward(self, nodes: Tensor, action: Tensor, *privileged: Tensor) -> Tensor:
         """Value of ``action`` in the state ``nodes``; ``[E, B, 1]`` with parameters stacked to ``[E, ...]``."""
-        code = self.encoder(nodes)
-        beside = [x.expand(*code.shape[:-1], x.shape[-1]) for x in (action, *privileged)]
-        return self.head(torch.cat([code, *beside], dim=-1))
+        if self.symmetry is None:
+            return self._value(nodes, action, *privileged)
+        return self.symmetry(self._value, nodes, action, *privileged)
+
+    def _value(self, nodes: Tensor, *beside: Tensor) -> Tensor:
+        if not isinstance(self.head, PooledReadout):
+            code = self.encoder(nodes)
+            return self.head(torch.cat([code, *(x.expand(*code.shape[:-1], x.shape[-1]) for x in beside)], dim=-1))
+        codes = cast(GraphEncoder, self.encoder).codes(nodes)
+        value = self.head(codes, *(x.reshape(-1, x.shape[-1]) for x in beside))
+        return value if value.ndim == 3 else value.reshape(*nodes.shape[:-2], 1)
 
 
 def make_critic(
@@ -50,6 +75,7 @@ def make_critic(
     action_dim: int = 6,
     network: Network | None = None,
     privileged_dim: int = 0,
+    reflection: Reflection | None = None,
 ) -> TensorDictModule:
     """An action-value network.
 
@@ -59,11 +85,12 @@ def make_critic(
         action_dim: ``A``, number of actions.
         network: Sizes and kind; the paper's GCN by default.
         privileged_dim: Length of ``"counters"``, which the critic then reads too; 0 for none.
+        reflection: How the robot looks in the mirror, for an equivariant network.
 
     Returns:
         A module that reads ``"nodes"`` ``[*, N, F]`` and ``"action"`` ``[*, A]`` and writes ``"state_action_value"``
         ``[*, 1]``.
     """
-    module = Critic(network or Network(), graph, in_features, action_dim, privileged_dim)
+    module = Critic(network or Network(), graph, in_features, action_dim, privileged_dim, reflection)
     extra = [PRIVILEGED] if privileged_dim else []
     return TensorDictModule(module, in_keys=[NODES, ACTION, *extra], out_keys=[VALUE])

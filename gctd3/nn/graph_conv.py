@@ -12,17 +12,16 @@ from torch.nn import functional
 from gctd3.nn.layers import stacked_linear
 
 
-class GraphConv(nn.Module):
-    r"""One graph convolution, :math:`Y = P X \Theta + b`, with a fixed propagation matrix :math:`P`.
-
-    With :math:`P = \hat D^{-1/2} \hat A \hat D^{-1/2}` it is equation 7 of Phan Bui et al. 2022 and the layer of Kipf
-    and Welling 2017 (arXiv:1609.02907).
+class GraphLayer(nn.Module):
+    r"""What graph convolutions share: nodes are mixed by a fixed matrix, then :math:`Y = M \Theta + b` at every node.
 
     Args:
         in_features: ``F``, features of a node.
         out_features: ``F'``, features of a node after the layer.
-        propagation: ``P``, shape ``[N, N]``; for example :attr:`gctd3.KinematicGraph.normalized_adjacency`.
+        propagation: What mixes the nodes, shape ``[..., N, N]``.
+        terms: Mixtures of a node that the layer weighs, so that the weight's shape is ``[terms * F, F']``.
         bias: Whether to add ``b``, shape ``[F']``.
+        persistent: Whether the state dictionary holds ``propagation``; without it, it fits every graph.
 
     Shapes:
         input ``[*, N, F]``, output ``[*, N, F']``.
@@ -31,20 +30,17 @@ class GraphConv(nn.Module):
     propagation: Tensor
 
     def __init__(
-        self, in_features: int, out_features: int, propagation: np.ndarray | Tensor, bias: bool = True
+        self, in_features: int, out_features: int, propagation: Tensor, terms: int, bias: bool, persistent: bool
     ) -> None:
         super().__init__()
         self.in_features, self.out_features = in_features, out_features
-        matrix = torch.as_tensor(propagation, dtype=torch.get_default_dtype())
-        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
-            raise ValueError(f"A propagation matrix has shape [N, N], got {list(matrix.shape)}.")
-        self.register_buffer("propagation", matrix.clone())
-        self.weight = nn.Parameter(torch.empty(in_features, out_features))
+        self.register_buffer("propagation", propagation.clone(), persistent=persistent)
+        self.weight = nn.Parameter(torch.empty(terms * in_features, out_features))
         self.bias = nn.Parameter(torch.empty(out_features)) if bias else None
         self.reset_parameters()
 
     def reset_parameters(self) -> None:
-        """Glorot-uniform weights (Kipf and Welling 2017), zero bias."""
+        """Glorot-uniform weights of every term (Kipf and Welling 2017), zero bias."""
         bound = math.sqrt(6.0 / (self.in_features + self.out_features))
         nn.init.uniform_(self.weight, -bound, bound)
         if self.bias is not None:
@@ -68,18 +64,99 @@ class GraphConv(nn.Module):
         """The same on ``[N, B, F]``, the layout in which both products of the layer are single matrix products.
 
         Returns:
-            ``[N, B, F']``; ``[E, N, B, F']`` if the parameters are stacked to ``[E, F, F']`` (``nodes`` may be too).
+            ``[N, B, F']``; ``[E, N, B, F']`` if the parameters are stacked to ``[E, ...]`` (``nodes`` may be too).
         """
-        n, batch, features = nodes.shape[-3:]
-        mixed = self.propagation @ nodes.reshape(*nodes.shape[:-2], batch * features)
-        mixed = mixed.reshape(*mixed.shape[:-2], n * batch, features)
+        n, batch = nodes.shape[-3:-1]
+        mixed = self.mix(nodes)
         if self.weight.ndim == 2:
             out = mixed @ self.weight if self.bias is None else functional.linear(mixed, self.weight.T, self.bias)
         else:
             out = stacked_linear(mixed, self.weight.mT, self.bias)
         return out.reshape(*out.shape[:-2], n, batch, self.out_features)
 
+    def mix(self, nodes: Tensor) -> Tensor:
+        """``nodes [(E,) N, B, F]`` to what the weight multiplies, ``[(E,) N * B, terms * F]``."""
+        raise NotImplementedError
+
     def extra_repr(self) -> str:
         """Sizes, for ``print``."""
         nodes = self.propagation.shape[-1]
         return f"{self.in_features}, {self.out_features}, nodes={nodes}, bias={self.bias is not None}"
+
+
+class GraphConv(GraphLayer):
+    r"""One graph convolution, :math:`Y = P X \Theta + b`, with a fixed propagation matrix :math:`P`.
+
+    With :math:`P = \hat D^{-1/2} \hat A \hat D^{-1/2}` it is equation 7 of Phan Bui et al. 2022 and the layer of Kipf
+    and Welling 2017 (arXiv:1609.02907).
+
+    Args:
+        in_features: ``F``, features of a node.
+        out_features: ``F'``, features of a node after the layer.
+        propagation: ``P``, shape ``[N, N]``; for example :attr:`gctd3.KinematicGraph.normalized_adjacency`.
+        bias: Whether to add ``b``, shape ``[F']``.
+        persistent: Whether the state dictionary holds ``P``; without it, it fits every graph.
+
+    Shapes:
+        input ``[*, N, F]``, output ``[*, N, F']``.
+    """
+
+    def __init__(
+        self,
+        in_features: int,
+        out_features: int,
+        propagation: np.ndarray | Tensor,
+        bias: bool = True,
+        persistent: bool = True,
+    ) -> None:
+        matrix = torch.as_tensor(propagation, dtype=torch.get_default_dtype())
+        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
+            raise ValueError(f"A propagation matrix has shape [N, N], got {list(matrix.shape)}.")
+        super().__init__(in_features, out_features, matrix, 1, bias, persistent)
+
+    def mix(self, nodes: Tensor) -> Tensor:
+        """``P X``: ``nodes [(E,) N, B, F]`` to ``[(E,) N * B, F]``."""
+        n, batch, features = nodes.shape[-3:]
+        mixed = self.propagation @ nodes.reshape(*nodes.shape[:-2], batch * features)
+        return mixed.reshape(*mixed.shape[:-2], n * batch, features)
+
+
+class ChebyshevConv(GraphLayer):
+    r"""A convolution of order ``K``, :math:`Y = \sum_{k=0}^{K} T_k(\tilde\Delta) X \Theta_k + b`.
+
+    Equation 5 of Phan Bui et al. 2022, from Defferrard et al. 2016 (arXiv:1606.09375): a node takes in those up to
+    ``K`` edges away, each distance with weights of its own.
+
+    Args:
+        in_features: ``F``, features of a node.
+        out_features: ``F'``, features of a node after the layer.
+        polynomials: :math:`T_0, \dots, T_K`, shape ``[K + 1, N, N]``; :meth:`gctd3.KinematicGraph.chebyshev`.
+        bias: Whether to add ``b``, shape ``[F']``.
+        persistent: Whether the state dictionary holds ``polynomials``; without them, it fits every graph.
+
+    Shapes:
+        input ``[*, N, F]``, output ``[*, N, F']``; the weight ``[(K + 1) * F, F']`` holds :math:`\Theta_0, \dots,
+        \Theta_K`, one below the other.
+    """
+
+    def __init__(
+        self,
+        in_features: int,
+        out_features: int,
+        polynomials: np.ndarray | Tensor,
+        bias: bool = True,
+        persistent: bool = True,
+    ) -> None:
+        terms = torch.as_tensor(polynomials, dtype=torch.get_default_dtype())
+        if terms.ndim != 3 or terms.shape[-1] != terms.shape[-2] or not len(terms):
+            raise ValueError(f"Chebyshev polynomials have shape [K + 1, N, N], got {list(terms.shape)}.")
+        super().__init__(in_features, out_features, terms, len(terms), bias, persistent)
+
+    def mix(self, nodes: Tensor) -> Tensor:
+        """All ``T_k X`` side by side: ``nodes [(E,) N, B, F]`` to ``[(E,) N * B, (K + 1) * F]``."""
+        n, batch, features = nodes.shape[-3:]
+        terms = self.propagation.shape[-3]
+        flat = nodes.reshape(*nodes.shape[:-2], batch * features)
+        mixed = self.propagation.flatten(-3, -2) @ flat
+        mixed = mixed.reshape(*mixed.shape[:-2], terms, n * batch, features).transpose(-3, -2)
+        return mixed.reshape(*mixed.shape[:-2], terms * features)

@@ -1,0 +1,216 @@
+"""Nodes for other people's environments: what each node of a robot's graph senses, read from their simulator.
+
+Works on TorchRL's :class:`~torchrl.envs.DMControlEnv` and on its :class:`~torchrl.envs.GymEnv` of Gymnasium's MuJoCo
+robots, one robot each; several are a :class:`~torchrl.envs.SerialEnv` or :class:`~torchrl.envs.ParallelEnv` of such.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import CatFrames, Compose, DoubleToFloat, EnvBase, Transform, TransformedEnv
+
+from gctd3.errors import ConfigError
+from gctd3.graph import KinematicGraph
+from gctd3.mjcf import body_name
+from gctd3.robot import Robot
+
+KINDS = ("root", "base", "hinge", "slide", "ball", "ground")
+STATIC = (*KINDS, "actuated", "lower", "upper", "mass")
+
+
+class NodeSensor:
+    """Reads the nodes' features off a MuJoCo state.
+
+    Half of a node's features are positions, half velocities: of the root its height from standing (m) and forward
+    velocity (m/s), of a base node its coordinate and rate (m or rad, and per second), of a joint its angle and velocity
+    (rad or m, and per second). The ground's are the contacts of its feet, 0 or 1. Each half is one number, or three if
+    the robot has a ball joint, whose position is a rotation vector (rad); shorter ones are padded with zeros.
+
+    Args:
+        model: The robot's model.
+
+    Attributes:
+        robot: What it was read as.
+        graph: Its graph, with a node for each row of the features.
+        features: ``F``, features of a node in one frame.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.robot = Robot.from_mjcf(model)
+        self.graph = KinematicGraph.from_robot(self.robot)
+        self._half = 3 if "ball" in self.graph.kinds else 1
+        self.features = 2 * self._half
+        self._extra = [i for i, kind in enumerate(self.graph.kinds) if kind == "base"]
+        self._joints = [(self.graph.nodes.index(joint.name), joint) for joint in self.robot.joints]
+        self._ground = [i for i, kind in enumerate(self.graph.kinds) if kind == "ground"]
+        bodies = [body_name(model, body) for body in range(model.nbody)]
+        self._feet = [bodies.index(foot) for foot in self.robot.feet]
+        standing = self.robot.standing_qpos
+        self._standing = self.robot.base.read(standing, np.zeros(model.nv)).get("height", (np.zeros(()),))[0]
+
+    def read(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+        """Features of all nodes now, shape ``[N, F]``."""
+        values = np.zeros((self.graph.num_nodes, 2, self._half), dtype=np.float32)
+        base = self.robot.base.read(np.array(data.qpos), np.array(data.qvel))
+        nothing = np.zeros(()), np.zeros(())
+        values[0, :, 0] = base.get("height", nothing)[0] - self._standing, base.get("forward", nothing)[1]
+        for row, name in zip(self._extra, self.robot.base.extra, strict=True):
+            values[row, :, 0] = base[name]
+        for row, joint in self._joints:
+            if joint.kind == "ball":
+                turn = np.zeros(3)
+                mujoco.mju_quat2Vel(turn, data.qpos[joint.qpos : joint.qpos + 4], 1.0)
+                values[row] = turn, data.qvel[joint.qvel : joint.qvel + 3]
+            else:
+                values[row, :, 0] = data.qpos[joint.qpos], data.qvel[joint.qvel]
+        down = self.feet_down(model, data)
+        for row, feet in zip(self._ground, self.robot.foot_pairs, strict=True):
+            values[row, : len(feet), 0] = down[list(feet)]
+        return values.reshape(self.graph.num_nodes, self.features)
+
+    def position(self, data: mujoco.MjData) -> float:
+        """The way forward from the world's origin (m); 0 of a robot that cannot move that way."""
+        base = self.robot.base.read(np.array(data.qpos), np.array(data.qvel))
+        return float(base["forward"][0]) if "forward" in base else 0.0
+
+    def feet_down(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+        """Whether each foot touches something that does not move, shape ``[feet]``."""
+        touching: set[int] = set()
+        if data.ncon:
+            bodies = np.array(model.geom_bodyid)[np.array(data.contact.geom)]
+            bodies = bodies[np.array(data.contact.dist) <= 0.0]
+            fixed = np.array(model.body_weldid)[bodies] == 0
+            touching = set(bodies[fixed[:, ::-1]].tolist())
+        return np.array([foot in touching for foot in self._feet])
+
+    def static(self) -> np.ndarray:
+        """What does not change, columns as in ``STATIC``, shape ``[N, 10]``.
+
+        The node's kind as zeros and a one; whether an action moves it; its limits (rad or m, 0 where there is none);
+        the share of the robot's mass that its body has.
+        """
+        model, robot, graph = self.robot.model, self.robot, self.graph
+        bodies = [body_name(model, body) for body in range(model.nbody)]
+        columns = {name: np.zeros(graph.num_nodes, dtype=np.float32) for name in STATIC}
+        for row, kind in enumerate(graph.kinds):
+            columns[kind][row] = 1.0
+        columns["actuated"][list(graph.actuated)] = 1.0
+        for row, body in [(0, robot.root), *((row, joint.body) for row, joint in self._joints)]:
+            columns["mass"][row] = model.body_mass[bodies.index(body)] / model.body_mass.sum()
+        for row, joint in self._joints:
+            limits = [limit if np.isfinite(limit) else 0.0 for limit in joint.range]
+            columns["lower"][row], columns["upper"][row] = limits
+        return np.stack([columns[name] for name in STATIC], axis=1)
+
+
+class Nodes(Transform):
+    """Writes ``"nodes"`` ``[N, F]``, read from the simulator of the environment that it stands on.
+
+    Args:
+        env: The environment, see :func:`sensor_of`.
+
+    Attributes:
+        sensor: What reads them; its ``graph`` is that of the networks.
+    """
+
+    def __init__(self, env: EnvBase) -> None:
+        super().__init__(in_keys=[], out_keys=["nodes"])
+        self.__dict__["sensor"] = sensor_of(env)
+        self.__dict__["_simulator"] = lambda: simulator(env)
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        nodes = torch.from_numpy(self.sensor.read(*self._simulator()))
+        return next_tensordict.set("nodes", nodes)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Adds ``"nodes"``."""
+        observation_spec["nodes"] = Unbounded((self.sensor.graph.num_nodes, self.sensor.features))
+        return observation_spec
+
+
+class StaticNodes(Transform):
+    """Puts :meth:`NodeSensor.static` behind every node's features; comes after frames were stacked.
+
+    Args:
+        sensor: What knows them.
+    """
+
+    static: torch.Tensor
+
+    def __init__(self, sensor: NodeSensor) -> None:
+        super().__init__(in_keys=["nodes"], out_keys=["nodes"])
+        self.register_buffer("static", torch.from_numpy(sensor.static()))
+
+    def _apply_transform(self, obs: torch.Tensor) -> torch.Tensor:
+        return torch.cat([obs, self.static.expand(*obs.shape[:-1], -1)], dim=-1)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Widens ``"nodes"``."""
+        n, features = observation_spec["nodes"].shape
+        observation_spec["nodes"] = Unbounded((n, features + self.static.shape[-1]))
+        return observation_spec
+
+
+def with_nodes(env: EnvBase, history: int = 1, static: bool = False) -> TransformedEnv:
+    """The same environment, which also writes ``"nodes"`` ``[N, history * F]`` (oldest frame first), in float32.
+
+    Args:
+        env: A ``DMControlEnv``, or a ``GymEnv`` of a MuJoCo robot, without transforms.
+        history: Frames stacked.
+        static: Whether to put :meth:`NodeSensor.static` behind them.
+
+    Returns:
+        The environment; ``env.transform[0].sensor.graph`` is the graph for the networks, ``.robot`` its robot.
+
+    Raises:
+        ConfigError: If the environment is not one of these.
+    """
+    nodes = Nodes(env)
+    transforms: list[Transform] = [nodes, DoubleToFloat()]
+    if history > 1:
+        transforms.append(CatFrames(N=history, dim=-1, in_keys=["nodes"], padding="same"))
+    if static:
+        transforms.append(StaticNodes(nodes.sensor))
+    return TransformedEnv(env, Compose(*transforms))
+
+
+def sensor_of(env: EnvBase) -> NodeSensor:
+    """What reads the nodes of an environment.
+
+    Raises:
+        ConfigError: If it has no MuJoCo simulator, or more than one.
+        RobotError: If what it simulates is not a robot.
+    """
+    return NodeSensor(simulator(env)[0])
+
+
+def simulator(env: EnvBase) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The simulator's model and data, as they are now: some tasks build a new model at a reset.
+
+    Raises:
+        ConfigError: If there is no MuJoCo simulator, or more than one.
+    """
+    # A transformed environment would pass these questions on.
+    inner: Any = None if isinstance(env, TransformedEnv) else getattr(env, "_env", None)
+    if physics := getattr(inner, "physics", None):
+        return physics.model.ptr, physics.data.ptr
+    inner = getattr(inner, "unwrapped", None)
+    model, data = getattr(inner, "model", None), getattr(inner, "data", None)
+    if isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData) and not env.batch_size:
+        return model, data
+    raise ConfigError(
+        f"Nodes are read from a DMControlEnv or from a GymEnv of one MuJoCo robot, got {type(env).__name__} "
+        f"of batch size {list(env.batch_size)}; put transforms and several robots around it, not below it."
+    )

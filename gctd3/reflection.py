@@ -1,0 +1,114 @@
+"""The mirror image of what a robot senses and does: reflection in its sagittal (xz) plane, as signed permutations.
+
+Pure NumPy. A robot whose left and right sides are equal moves, after its state and its actions were reflected, as the
+reflection of its motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gctd3.base import EXTRA
+from gctd3.errors import RobotError
+from gctd3.graph import KinematicGraph
+from gctd3.nodes import foot_slots
+from gctd3.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class SignedPermutation:
+    """``reflected[..., i] = sign[i] * values[..., source[i]]``; done twice it changes nothing.
+
+    Attributes:
+        source: Shape ``[D]``, integers.
+        sign: Shape ``[D]``, +1 or -1.
+    """
+
+    source: np.ndarray
+    sign: np.ndarray
+
+    def __post_init__(self) -> None:
+        identity = np.arange(len(self.source))
+        if not (np.array_equal(self.source[self.source], identity) and (self.sign * self.sign[self.source] == 1).all()):
+            raise RobotError(
+                "A reflection done twice must change nothing, got source "
+                f"{self.source.tolist()} and sign {self.sign.tolist()}."
+            )
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """``M`` with ``values @ M`` the reflected values. Shape ``[D, D]``."""
+        matrix = np.zeros((len(self.source), len(self.source)))
+        matrix[self.source, np.arange(len(self.source))] = self.sign
+        return matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Reflection:
+    """How a robot's observations and actions look in the mirror.
+
+    Attributes:
+        features: Features of a node in one frame.
+        frame: Of the nodes' features in one frame, node after node; length ``N * features``.
+        action: Length ``A``.
+        counters: Of what only the critics see; twice as long as there are feet.
+    """
+
+    features: int
+    frame: SignedPermutation
+    action: SignedPermutation
+    counters: SignedPermutation
+
+    @classmethod
+    def from_robot(cls, robot: Robot, features: int = 2) -> Reflection:
+        """The reflection of a robot in the walking task.
+
+        Joints change places with their mirror images and their angles and velocities their signs, as the joints' axes
+        ask; a ground node's features are one per foot and change places too; the root's stay, and of the base nodes
+        those keep their sign that lie in the sagittal plane.
+
+        Args:
+            robot: The robot.
+            features: Features of a node in one frame.
+        """
+        graph = KinematicGraph.from_robot(robot)
+        source = np.arange(graph.num_nodes * features).reshape(graph.num_nodes, features)[list(graph.mirror)]
+        sign = np.ones(source.shape)
+        extra = iter(robot.base.extra)
+        for row, (name, kind) in enumerate(zip(graph.nodes, graph.kinds, strict=True)):
+            if kind == "base":
+                sign[row] = EXTRA[next(extra)]
+            elif kind not in ("root", "ground"):
+                sign[row] = robot.mirror_sign(name)
+        feet, (node, feature) = np.array(robot.mirror_feet), foot_slots(robot).T
+        source[node, feature] = source[node[feet], feature[feet]]
+        hip_sign = [robot.mirror_sign(leg[0].name) for leg in robot.legs]
+        return cls(
+            features=features,
+            frame=SignedPermutation(source.reshape(-1), sign.reshape(-1)),
+            action=SignedPermutation(*robot.action_mirror),
+            # How long each foot has been down, how long each hip has kept its sign.
+            counters=SignedPermutation(
+                np.concatenate([feet, len(feet) + feet]), np.array([1.0] * len(feet) + hip_sign)
+            ),
+        )
+
+    def nodes(self, width: int) -> SignedPermutation:
+        """Of stacked frames, node after node, each node's frames from the oldest to the newest.
+
+        Args:
+            width: Features of a node over all frames.
+
+        Raises:
+            ValueError: If ``width`` is not a whole number of frames.
+        """
+        history, rest = divmod(width, self.features)
+        if rest:
+            raise ValueError(f"Nodes of {self.features} features a frame cannot be {width} features wide.")
+        shape = (-1, 1, self.features)
+        node, feature = np.divmod(self.frame.source.reshape(shape), self.features)
+        source = node * width + np.arange(history)[:, None] * self.features + feature
+        sign = np.broadcast_to(self.frame.sign.reshape(shape), source.shape)
+        return SignedPermutation(source.reshape(-1), sign.reshape(-1).copy())

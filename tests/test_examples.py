@@ -1,0 +1,58 @@
+"""The examples run, say what they are, and use no more of the library than they claim."""
+
+import ast
+import importlib
+import math
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+NAMES = sorted(file.stem for file in EXAMPLES.glob("*.py"))
+
+
+@pytest.fixture(autouse=True)
+def _examples(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+
+
+def test_there_are_three():
+    assert NAMES == ["ppo_walker", "sac_gymnasium", "transfer"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_is_short_and_imports_graphs_nodes_and_networks_only(name):
+    text = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8")
+    assert text.count("\n") < 120
+    imported = [node.module for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)]
+    assert {module for module in imported if module.startswith("gctd3")} <= {"gctd3", "gctd3.nn", "gctd3.envs.nodes"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help(name, capsys):
+    module = importlib.import_module(name)
+    with pytest.raises(SystemExit) as end:
+        module.main(["--help"])
+    assert end.value.code == 0
+    said = capsys.readouterr().out
+    assert module.__doc__.splitlines()[0] in said and "--frames" in said and "--seed" in said
+
+
+def test_ppo(capsys):
+    few = ["--frames", "128", "--batch", "64", "--minibatch", "32", "--epochs", "2"]
+    reward = importlib.import_module("ppo_walker").main(few)
+    said = capsys.readouterr().out
+    assert 0.0 <= reward <= 1.0 and "right_hip" in said and said.count(" steps  reward") == 2
+
+
+def test_sac():
+    few = ["--frames", "200", "--warmup", "100", "--batch", "16"]
+    returns = importlib.import_module("sac_gymnasium").main(["--env", "Walker2d-v5", *few])
+    assert returns and all(map(math.isfinite, returns))
+
+
+def test_transfer(tmp_path):
+    few = ["--frames", "100", "--warmup", "80", "--batch", "8", "--save", str(tmp_path / "weights.pt")]
+    result = importlib.import_module("transfer").main(["--source", "Walker2d-v5", "--target", "Hopper-v5", *few])
+    assert set(result) == {"transferred", "scratch"} and all(map(math.isfinite, result.values()))
+    assert (tmp_path / "weights.pt").stat().st_size > 0

@@ -1,0 +1,109 @@
+"""Training on tasks of dm_control and Gymnasium, and what is said of those that cannot be."""
+
+import json
+import math
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from dm_control import suite
+from running import command, rows, train
+from tensordict import TensorDict
+
+import gctd3
+from gctd3.checkpoint import load_settings
+from gctd3.envs.factory import build_env
+from gctd3.envs.library import LibrarySettings
+from gctd3.envs.reward import Reward
+from gctd3.errors import ConfigError
+
+# Short episodes would need falls; an evaluation is as long as the task's episodes are.
+FEW = ["env.num_envs=2", "evaluation.episodes=1", "evaluation.every=200", "total_frames=120"]
+WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episodes", "total_frames"]
+
+
+@pytest.mark.parametrize("env, nodes, actions", [("walker_walk", 9, 6), ("walker2d", 9, 6), ("ant", 15, 8)])
+def test_trains_and_evaluates(tmp_path, env, nodes, actions, capsys):
+    run = train(tmp_path / "run", "algo=gctd3", f"env={env}", *FEW, without=WITHOUT)
+    (row,) = rows(run)
+    assert int(row["frames"]) == 120 and int(row["updates"]) > 0 and math.isfinite(float(row["return_mean"]))
+    assert load_settings(run).stop_when.evaluations is None
+    policy = gctd3.load_policy(run)
+    assert policy(TensorDict({"nodes": torch.randn(3, nodes, 4)}, [3]))["action"].shape == (3, actions)
+    assert command("evaluate", f"run={run}", "episodes=1") == 0
+    report = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
+    assert report["task"] == load_settings(run).env.task
+    # dm_control's rewards lie in [0, 1], and an episode has 1,000 steps.
+    assert 0 <= report["return_mean"] <= 1000 or env != "walker_walk"
+    assert "380.0" not in capsys.readouterr().out
+    assert command("render", f"run={run}", f"out={tmp_path / 'walk.png'}") == 2
+    assert "draws the walking task only" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "ddpg"])
+def test_other_algorithms_train_too(tmp_path, algorithm):
+    run = train(tmp_path / "run", f"algo={algorithm}", "env=walker2d", *FEW, without=WITHOUT)
+    settings = load_settings(run)
+    assert settings.exploration.warmup == "uniform" or algorithm == "sac"
+    assert (settings.exploration.noise is None) == (algorithm == "sac")
+
+
+def test_rewards_and_ways_are_the_tasks_own():
+    settings = LibrarySettings("gymnasium", "Walker2d-v5", num_envs=2, history=2)
+    env = build_env(settings.robot, settings, Reward(), seed=5)
+    actions = torch.rand(2, 12, 6, generator=torch.Generator().manual_seed(0)) * 2 - 1
+    state, seen = env.reset(), []
+    theirs = gymnasium.make("Walker2d-v5")
+    assert settings.control_dt == pytest.approx(theirs.unwrapped.dt)
+    # From the state in which ours starts, theirs goes on with the same rewards.
+    theirs.reset()
+    inner = env.base_env._envs[0].base_env._env.unwrapped
+    theirs.unwrapped.set_state(inner.data.qpos.copy(), inner.data.qvel.copy())
+    for t in range(12):
+        state = env.step(state.set("action", actions[:, t]))["next"]
+        _, reward, ended, *_ = theirs.step(actions[0, t].numpy())
+        seen.append(reward)
+        assert state["reward"][0].item() == pytest.approx(reward, abs=1e-4)
+        assert state["position"][0].item() == pytest.approx(theirs.unwrapped.data.qpos[0], abs=1e-4)
+        assert state["counters"].shape == (2, 0) and not state["success"].any()
+        if ended:
+            break
+    assert np.std(seen) > 0 and state["nodes"].shape == (2, 9, 4)
+
+
+def test_dm_controls_period_and_time_limit():
+    settings = LibrarySettings("dm_control", "walker-walk", num_envs=1)
+    assert settings.control_dt == suite.load("walker", "walk").control_timestep() == 0.025
+    env = build_env(settings.robot, settings, Reward(), seed=0)
+    rollout = env.rollout(1001, break_when_any_done=True)
+    assert rollout.shape == (1, 1000)
+    last = rollout["next"][0, -1]
+    assert last["truncated"].item() and not last["terminated"].item()
+
+
+def test_equal_seeds_start_equally():
+    settings = LibrarySettings("gymnasium", "HalfCheetah-v5", num_envs=3)
+    one, again, other = (build_env(settings.robot, settings, Reward(), seed).reset()["nodes"] for seed in (3, 3, 4))
+    assert torch.equal(one, again) and not torch.equal(one, other) and not torch.equal(one[0], one[1])
+
+
+@pytest.mark.parametrize(
+    "library, task, message",
+    [
+        ("dm_control", "walker", "dm_control cannot make 'walker'"),
+        ("gymnasium", "Nothing-v0", "gymnasium cannot make 'Nothing-v0'"),
+        ("gymnasium", "Humanoid-v5", r"must lie in \[-1, 1\]"),
+        ("gymnasium", "Pendulum-v1", "one MuJoCo robot"),
+    ],
+)
+def test_tasks_that_cannot_be(library, task, message):
+    with pytest.raises(ConfigError, match=message):
+        _ = LibrarySettings(library, task).robot
+
+
+def test_settings_that_do_not_fit(tmp_path, capsys):
+    assert command("train", "env=walker2d", "replay=mirrored", f"hydra.run.dir={tmp_path}") == 2
+    assert "replay.mirror must be false for a library's task" in capsys.readouterr().err
+    with pytest.raises(ConfigError, match="num_envs must be at least 1, got 0"):
+        LibrarySettings("gymnasium", "Ant-v5", num_envs=0)
