@@ -13,15 +13,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+import mujoco
 import numpy as np
 
 from gctd3.errors import RobotError
+from gctd3.nodes import GROUND as GROUND
+from gctd3.nodes import PRESETS as PRESETS
+from gctd3.nodes import adjacency_of, read_adjacency, read_nodes
 from gctd3.robot import Robot
-
-GROUND = "ground"
-PRESETS = ("tree", "authors", "edgeless", "complete", "random")
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +34,13 @@ class KinematicGraph:
     Build it with :meth:`from_mjcf` or :meth:`from_robot`; the constructor takes any named graph.
 
     Attributes:
-        nodes: Names; a robot's are its root body, its joints by depth (equal depths in the MJCF's order), the ground.
+        nodes: Names; a robot's are its root body, what else its base can do, its joints by depth (equal depths in the
+            MJCF's order), the ground; see :mod:`gctd3.nodes`.
         adjacency: ``A``, shape ``[N, N]``, zeros and ones, no self-loops. ``A[i, j] = 1`` if node ``i`` takes in
             node ``j``; symmetric for an undirected graph.
         mirror: For each node the index of the node on the other side of the robot (its own if it has none).
+        kinds: Of each node: ``root``, ``base``, ``hinge``, ``slide``, ``ball`` or ``ground``; empty if not a robot's.
+        parents: Of each node, names of those above it in the kinematic tree; empty if not a robot's.
 
     Example:
         >>> graph = KinematicGraph.from_mjcf("biped")
@@ -47,6 +53,8 @@ class KinematicGraph:
     nodes: tuple[str, ...]
     adjacency: np.ndarray
     mirror: tuple[int, ...] = ()
+    kinds: tuple[str, ...] = ()
+    parents: tuple[tuple[str, ...], ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.nodes)
@@ -62,13 +70,25 @@ class KinematicGraph:
     # Construction.
 
     @classmethod
-    def from_mjcf(cls, path: str | Path, preset: str = "tree", seed: int = 0) -> KinematicGraph:
-        """The graph of the robot in an MJCF file, or of one that ships with the library (``"biped"``).
+    def from_mjcf(
+        cls,
+        source: str | Path | mujoco.MjModel | mujoco.MjSpec,
+        preset: str = "tree",
+        seed: int = 0,
+        feet: Sequence[str] | None = None,
+    ) -> KinematicGraph:
+        """The graph of any robot: an MJCF file, a model in memory, or one that ships with the library (``"biped"``).
+
+        Args:
+            source: The robot; its joints may be of any kind and driven by anything.
+            preset: See :meth:`from_robot`.
+            seed: See :meth:`from_robot`.
+            feet: Names of the bodies (or of their geoms) that may touch the ground; see :func:`.find_feet` if ``None``.
 
         Raises:
-            RobotError: If the file is not a robot, or the preset is unknown.
+            RobotError: If the source is not a robot, or the preset is unknown.
         """
-        return cls.from_robot(Robot.from_mjcf(path), preset, seed)
+        return cls.from_robot(Robot.from_mjcf(source, feet), preset, seed)
 
     @classmethod
     def from_robot(cls, robot: Robot, preset: str = "tree", seed: int = 0) -> KinematicGraph:
@@ -77,29 +97,19 @@ class KinematicGraph:
         Args:
             robot: The robot.
             preset: ``tree``: root to joints along the kinematic tree, every foot's last joint to the ground, undirected
-                (the paper's Figure 2). ``authors``: the released script's, see :func:`_authors`. ``edgeless``: no edge.
-                ``complete``: every pair. ``random``: as many undirected edges as ``tree``, drawn with ``seed``.
+                (the paper's Figure 2). ``authors``: the released script's: each joint takes in its parent, the hips
+                one another, the ground nothing. ``edgeless``: no edge. ``complete``: every pair. ``random``: as many
+                undirected edges as ``tree``, drawn with ``seed``.
             seed: For ``random``.
 
         Raises:
             RobotError: If the preset is unknown.
         """
-        nodes = _nodes(robot)
-        tree = _tree(robot, nodes)
-        if preset == "tree":
-            adjacency = tree
-        elif preset == "authors":
-            adjacency = _authors(robot, nodes)
-        elif preset == "edgeless":
-            adjacency = np.zeros_like(tree)
-        elif preset == "complete":
-            adjacency = np.ones_like(tree) - np.eye(len(nodes))
-        elif preset == "random":
-            adjacency = _random(len(nodes), int(tree.sum()) // 2, seed)
-        else:
-            raise RobotError(f"No graph preset {preset!r}: expected one of {', '.join(PRESETS)}.")
-        mirror = tuple(nodes.index(n) if n == GROUND else nodes.index(robot.mirror_name(n)) for n in nodes)
-        return cls(tuple(nodes), adjacency, mirror)
+        nodes = read_nodes(robot)
+        names = tuple(node.name for node in nodes)
+        mirror = tuple(names.index(node.mirror) for node in nodes)
+        kinds, parents = tuple(node.kind for node in nodes), tuple(node.parents for node in nodes)
+        return cls(names, read_adjacency(nodes, preset, seed), mirror, kinds, parents)
 
     @classmethod
     def from_edges(
@@ -113,12 +123,7 @@ class KinematicGraph:
         unknown = sorted({name for edge in edges for name in edge} - set(nodes))
         if unknown:
             raise RobotError(f"No node {', '.join(unknown)} for an edge: the nodes are {', '.join(nodes)}.")
-        adjacency = np.zeros((len(nodes), len(nodes)))
-        for i, j in ((nodes.index(a), nodes.index(b)) for a, b in edges):
-            adjacency[i, j] = 1.0
-            if not directed:
-                adjacency[j, i] = 1.0
-        return cls(tuple(nodes), adjacency)
+        return cls(tuple(nodes), adjacency_of(nodes, edges, directed))
 
     # What it is made of.
 
@@ -175,11 +180,50 @@ class KinematicGraph:
             terms.append(2.0 * scaled @ terms[-1] - terms[-2])
         return np.stack(terms[: order + 1])
 
+    # For other libraries and for people.
+
+    def edge_index(self) -> np.ndarray:
+        """Edges as torch_geometric wants them: sources over targets, an undirected edge both ways. ``int64 [2, E]``.
+
+        Example:
+            >>> KinematicGraph.from_edges(["a", "b"], [("a", "b")]).edge_index().tolist()
+            [[1, 0], [0, 1]]
+        """
+        # A[i, j]: node i takes in node j, so j is the source.
+        return np.ascontiguousarray(np.argwhere(self.adjacency).T[::-1]).astype(np.int64)
+
+    def to_networkx(self) -> Any:  # noqa: ANN401 - networkx is optional
+        """A ``networkx.Graph`` (a ``DiGraph`` from source to target if directed) with the nodes' kinds and mirrors.
+
+        Raises:
+            ImportError: If networkx is not installed.
+        """
+        try:
+            networkx = import_module("networkx")
+        except ImportError as error:
+            raise ImportError("to_networkx needs networkx: pip install 'gctd3[networkx]'.") from error
+        graph = networkx.DiGraph() if self.directed else networkx.Graph()
+        for i, name in enumerate(self.nodes):
+            graph.add_node(name, kind=self.kinds[i] if self.kinds else "", mirror=self.nodes[self.mirror[i]])
+        graph.add_edges_from((b, a) for a, b in self.edges)
+        return graph
+
+    def __repr__(self) -> str:
+        shown = ", ".join(self.nodes[:8]) + (", ..." if self.num_nodes > 8 else "")
+        return f"KinematicGraph({self.num_nodes} nodes, {len(self.edges)} edges: {shown})"
+
     def __str__(self) -> str:
         arrow = " <- " if self.directed else " -- "
-        lines = [f"{self.num_nodes} nodes: {', '.join(self.nodes)}"]
-        lines += [f"  {a}{arrow}{b}" for a, b in self.edges]
-        return "\n".join(lines)
+        header = ("#", "node", "kind", "parent", "mirror")
+        rows = [header]
+        for i, name in enumerate(self.nodes):
+            kind, parents = (self.kinds[i], ", ".join(self.parents[i])) if self.kinds else ("", "")
+            rows.append((str(i), name, kind, parents, self.nodes[self.mirror[i]] if self.mirror[i] != i else ""))
+        columns = [c for c, cells in enumerate(zip(*rows[1:], strict=True)) if any(cells)]
+        widths = [max(len(row[c]) for row in rows) for c in columns]
+        table = ["  ".join(row[c].ljust(w) for c, w in zip(columns, widths, strict=True)).rstrip() for row in rows]
+        lines = [f"{self.num_nodes} nodes, {len(self.edges)} edges", "", *table, ""]
+        return "\n".join([*lines, *(f"{a}{arrow}{b}" for a, b in self.edges)]).rstrip()
 
 
 def _symmetric_normalize(matrix: np.ndarray) -> np.ndarray:
@@ -187,32 +231,3 @@ def _symmetric_normalize(matrix: np.ndarray) -> np.ndarray:
     degree = matrix.sum(axis=1)
     scale = np.where(degree > 0, 1.0 / np.sqrt(np.maximum(degree, 1e-12)), 0.0)
     return scale[:, None] * matrix * scale[None, :]
-
-
-def _nodes(robot: Robot) -> list[str]:
-    depth: dict[str, int] = {}
-    for joint in robot.joints:
-        depth[joint.name] = depth[joint.parent] + 1 if joint.parent else 1
-    return [robot.root, *sorted(depth, key=depth.__getitem__), GROUND]
-
-
-def _tree(robot: Robot, nodes: Sequence[str]) -> np.ndarray:
-    edges = [(joint.parent or robot.root, joint.name) for joint in robot.joints]
-    edges += [(leg[-1].name if leg else robot.root, GROUND) for leg in robot.legs]
-    return KinematicGraph.from_edges(list(nodes), edges).adjacency
-
-
-def _authors(robot: Robot, nodes: Sequence[str]) -> np.ndarray:
-    """Each joint takes in its parent, the hips one another, the ground is joined to nothing (released script)."""
-    edges = [(joint.name, joint.parent or robot.root) for joint in robot.joints]
-    hips = [joint.name for joint in robot.joints if joint.parent is None]
-    edges += [(a, b) for a in hips for b in hips if a != b]
-    return KinematicGraph.from_edges(list(nodes), edges, directed=True).adjacency
-
-
-def _random(num_nodes: int, num_edges: int, seed: int) -> np.ndarray:
-    rows, columns = np.triu_indices(num_nodes, k=1)
-    chosen = np.random.default_rng(seed).choice(len(rows), size=num_edges, replace=False)
-    adjacency = np.zeros((num_nodes, num_nodes))
-    adjacency[rows[chosen], columns[chosen]] = 1.0
-    return adjacency + adjacency.T

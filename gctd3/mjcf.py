@@ -1,4 +1,4 @@
-"""Reading an MJCF: where it is, and what of it makes a legged robot."""
+"""Reading an MJCF: where it is, and what of it makes a legged robot. Any MJCF; what walking asks for comes later."""
 
 from __future__ import annotations
 
@@ -6,11 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
 
 from gctd3.errors import RobotError
+
+Kind = Literal["hinge", "slide", "ball", "free"]
+_KINDS: dict[int, Kind] = {
+    int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
+    int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
+    int(mujoco.mjtJoint.mjJNT_BALL): "ball",
+    int(mujoco.mjtJoint.mjJNT_FREE): "free",
+}
 
 
 @dataclass(frozen=True)
@@ -18,12 +27,14 @@ class Joint:
     """One moving joint of the robot, outside its base.
 
     Attributes:
-        name: The joint's name in the MJCF.
+        name: The joint's name in the MJCF, or ``joint_<id>`` if it has none.
         parent: Name of the next joint towards the root, or ``None`` if the root body comes first.
         body: Name of the body that the joint moves.
-        qpos: Index of its angle (rad) in ``qpos``.
-        qvel: Index of its angular velocity (rad/s) in ``qvel``.
-        range: Lower and upper limit (rad), infinite where the MJCF sets none.
+        qpos: Index of its angle (rad; of a slide its length, m) in ``qpos``; of a ball, of its quaternion.
+        qvel: Index of its velocity (rad/s; of a slide m/s) in ``qvel``.
+        range: Lower and upper limit (rad or m), infinite where the MJCF sets none.
+        kind: ``hinge``, ``slide`` or ``ball``.
+        id: MuJoCo's index of the joint.
     """
 
     name: str
@@ -32,6 +43,8 @@ class Joint:
     qpos: int
     qvel: int
     range: tuple[float, float]
+    kind: Kind = "hinge"
+    id: int = -1
 
 
 def find_mjcf(path: str | Path) -> Path:
@@ -52,34 +65,97 @@ def find_mjcf(path: str | Path) -> Path:
     return models / str(path) / f"{path}.xml"
 
 
+def load_mjcf(source: str | Path | mujoco.MjModel | mujoco.MjSpec) -> tuple[mujoco.MjModel, Path]:
+    """The compiled model of a file, a shipped robot or a model in memory, and what to call it in messages.
+
+    Raises:
+        RobotError: If there is no such file, or MuJoCo cannot compile it.
+    """
+    if isinstance(source, mujoco.MjModel):
+        name = bytes(source.names).split(b"\0", 1)[0].decode()
+        return source, Path(f"<{name or 'a model'} in memory>")
+    file = Path(f"<{source.modelname} in memory>") if isinstance(source, mujoco.MjSpec) else find_mjcf(source)
+    try:
+        if isinstance(source, mujoco.MjSpec):
+            return source.compile(), file
+        return mujoco.MjModel.from_xml_path(str(file)), file
+    except ValueError as error:
+        raise RobotError(f"{file} is not an MJCF that MuJoCo can compile: {error}") from error
+
+
+def body_name(model: mujoco.MjModel, body: int) -> str:
+    """A body's name, or ``body_<id>`` if it has none."""
+    return model.body(body).name or f"body_{body}"
+
+
+def joint_name(model: mujoco.MjModel, joint: int) -> str:
+    """A joint's name, or ``joint_<id>`` if it has none."""
+    return model.joint(joint).name or f"joint_{joint}"
+
+
+def joint_kind(model: mujoco.MjModel, joint: int) -> Kind:
+    """What a joint does."""
+    return _KINDS[int(model.jnt_type[joint])]
+
+
+def bodies_below(model: mujoco.MjModel, root: int) -> list[int]:
+    """Indices of ``root`` and of all bodies that hang on it."""
+    inside = {root}
+    for body in range(root + 1, model.nbody):  # parents come before their children
+        if int(model.body_parentid[body]) in inside:
+            inside.add(body)
+    return sorted(inside)
+
+
 def root_body(model: mujoco.MjModel, file: Path) -> int:
-    """Index of the one body under the world that has joints.
+    """Index of the robot's root: the one body under the world that moves or carries what moves.
+
+    Beside a robot, what only floats (one free joint and nothing else, as a ball does) is scenery.
 
     Raises:
         RobotError: If there is none, or more than one.
     """
-    roots = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0 and model.body_jntnum[b] > 0]
+    trees = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0]
+    joints = {b: sum(int(model.body_jntnum[c]) for c in bodies_below(model, b)) for b in trees}
+    moving = [b for b in trees if joints[b] > 0]
+    articulated = [b for b in moving if joints[b] > 1 or not _floats(model, b)]
+    roots = articulated or moving
     if len(roots) != 1:
         names = ", ".join(model.body(b).name or "(unnamed)" for b in roots) or "none"
         raise RobotError(f"{file}: expected one root body with joints under the world, got {len(roots)}: {names}.")
     return roots[0]
 
 
+def _floats(model: mujoco.MjModel, body: int) -> bool:
+    start, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    return any(joint_kind(model, j) == "free" for j in range(start, start + count))
+
+
+def base_joints(model: mujoco.MjModel, root: int) -> range:
+    """Indices of the joints that carry the root body about: all of its own, if it can be displaced at all.
+
+    A root body that only turns about a fixed point has no base: its joints are joints as any other.
+    """
+    start = int(model.body_jntadr[root])
+    own = range(start, start + int(model.body_jntnum[root]))
+    displaced = any(joint_kind(model, j) in ("free", "slide") for j in own)
+    return own if displaced else range(0)
+
+
 def read_joints(model: mujoco.MjModel, root: int, file: Path) -> list[Joint]:
-    """All joints below the body ``root``, in the MJCF's order.
+    """All joints of the robot outside its base, in the MJCF's order; several of one body follow one another.
 
     Raises:
-        RobotError: If there is none, or one is not a named hinge.
+        RobotError: If there is none.
     """
     joints: list[Joint] = []
     last_on_body: dict[int, str] = {}
+    base, robot = base_joints(model, root), set(bodies_below(model, root))
     for i in range(model.njnt):
         body = int(model.jnt_bodyid[i])
-        if body == root:
+        if body not in robot or i in base:
             continue
-        name = model.joint(i).name
-        if model.jnt_type[i] != mujoco.mjtJoint.mjJNT_HINGE or not name:
-            raise RobotError(f"{file}: joint {name or i!r} of body {model.body(body).name!r} must be a named hinge.")
+        name = joint_name(model, i)
         above = body
         while above and above not in last_on_body:
             above = int(model.body_parentid[above])
@@ -89,43 +165,57 @@ def read_joints(model: mujoco.MjModel, root: int, file: Path) -> list[Joint]:
             Joint(
                 name=name,
                 parent=last_on_body.get(above),
-                body=model.body(body).name,
+                body=body_name(model, body),
                 qpos=int(model.jnt_qposadr[i]),
                 qvel=int(model.jnt_dofadr[i]),
                 range=(low, high),
+                kind=joint_kind(model, i),
+                id=i,
             )
         )
         last_on_body[body] = name
     if not joints:
-        raise RobotError(f"{file} has no joint below its root body {model.body(root).name!r}.")
+        raise RobotError(f"{file} has no joint below its root body {body_name(model, root)!r}.")
     return joints
 
 
-def read_actuated(model: mujoco.MjModel, joints: Sequence[Joint], file: Path) -> list[str]:
-    """The joint that each actuator drives.
+def read_actuated(model: mujoco.MjModel, joints: Sequence[Joint]) -> list[str]:
+    """The joint that each actuator drives, for those that drive one of ``joints``; motors and servos alike."""
+    names = {joint.id: joint.name for joint in joints}
+    on_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    driven = [int(model.actuator_trnid[i, 0]) for i in range(model.nu) if model.actuator_trntype[i] in on_joint]
+    return [names[joint] for joint in driven if joint in names]
 
-    Raises:
-        RobotError: If an actuator is not a position servo with a range on one of ``joints``.
+
+def colliding_geoms(model: mujoco.MjModel, body: int) -> list[int]:
+    """Indices of a body's geoms that can touch others."""
+    start = int(model.body_geomadr[body])
+    own = range(start, start + int(model.body_geomnum[body]))
+    return [g for g in own if model.geom_contype[g] or model.geom_conaffinity[g]]
+
+
+def leaf_bodies(model: mujoco.MjModel, root: int) -> list[int]:
+    """Indices of the bodies below ``root`` that can collide and carry none that can: the ends of its chains."""
+    colliding = [b for b in bodies_below(model, root) if b != root and colliding_geoms(model, b)]
+    inner = {root}
+    for body in colliding:
+        above = int(model.body_parentid[body])
+        while above and above not in inner:
+            inner.add(above)
+            above = int(model.body_parentid[above])
+    return [body for body in colliding if body not in inner]
+
+
+def standing_pose(model: mujoco.MjModel) -> np.ndarray:
+    """``qpos`` in which the robot stands, shape ``[nq]``.
+
+    The key named ``stand``; else the custom numeric ``init_qpos`` (Gymnasium's older models); else the reference pose.
     """
-    names = {j.name for j in joints}
-    actuated = []
-    for i in range(model.nu):
-        actuator = model.actuator(i).name or str(i)
-        if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT:
-            raise RobotError(f"{file}: actuator {actuator!r} does not drive a joint.")
-        joint = model.joint(int(model.actuator_trnid[i, 0])).name
-        if joint not in names:
-            raise RobotError(f"{file}: actuator {actuator!r} drives {joint!r}, which is not a joint below the root.")
-        if model.actuator_biastype[i] != mujoco.mjtBias.mjBIAS_AFFINE or model.actuator_biasprm[i, 1] >= 0:
-            raise RobotError(f"{file}: actuator {actuator!r} must be a <position> servo: actions are desired angles.")
-        if not model.actuator_ctrllimited[i]:
-            raise RobotError(f"{file}: actuator {actuator!r} needs a ctrlrange (rad), onto which actions are mapped.")
-        actuated.append(joint)
-    return actuated
-
-
-def leaf_bodies(model: mujoco.MjModel, root: int) -> list[str]:
-    """Names of the bodies below ``root`` that end a chain and can collide: feet, unless told otherwise."""
-    parents = {int(p) for p in model.body_parentid[1:]}
-    colliding = {int(model.geom_bodyid[g]) for g in range(model.ngeom) if model.geom_contype[g]}
-    return [model.body(b).name for b in range(root + 1, model.nbody) if b not in parents and b in colliding]
+    for key in range(model.nkey):
+        if model.key(key).name == "stand":
+            return model.key_qpos[key].copy()
+    for i in range(model.nnumeric):
+        if model.numeric(i).name == "init_qpos" and int(model.numeric_size[i]) == model.nq:
+            start = int(model.numeric_adr[i])
+            return model.numeric_data[start : start + model.nq].copy()
+    return model.qpos0.copy()

@@ -1,11 +1,10 @@
-"""A legged robot read from an MJCF file: its joints, actuators, feet, limits and left/right mirror.
+"""A legged robot read from an MJCF: its base, joints, feet and left/right mirror, and what walking asks of it.
 
 Stage one of the data flow. Needs MuJoCo and NumPy, nothing else.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,25 +13,27 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from gctd3.base import AXES, Axis, Base, find_forward
 from gctd3.errors import RobotError
-from gctd3.mjcf import Joint, find_mjcf, leaf_bodies, read_actuated, read_joints, root_body
-
-_SIDES = (("right", "left"), ("Right", "Left"), ("R", "L"), ("r", "l"))
+from gctd3.feet import find_feet, named_feet
+from gctd3.mirror import count_reflected, pair_joints, reflected_sign, swap_side
+from gctd3.mjcf import Joint, body_name, load_mjcf, read_actuated, read_joints, root_body, standing_pose
 
 
 @dataclass(frozen=True)
 class Robot:
-    """A robot on a boom: it slides along x and z, and position servos move its hinges.
+    """A robot with a root body and joints below it; what else it needs to walk, :meth:`check_walking` says.
 
     Build it with :meth:`from_mjcf`; nothing about it is typed in.
 
     Attributes:
         model: The compiled MuJoCo model.
-        path: The MJCF file.
+        path: The MJCF file, or what to call a model in memory.
         root: Name of the body that carries the base joints.
-        joints: All hinges below the root, in the order of the MJCF (depth first).
-        actuated: For each actuator, in order, the name of the joint that it drives.
+        joints: All joints outside the base, in the order of the MJCF (depth first).
+        actuated: For each actuator of a joint, in order, the name of the joint that it drives.
         feet: Names of the bodies that may touch the ground.
+        forward_axis: Where forward is: ``x``, ``-x``, ``y`` or ``-y`` of the world.
     """
 
     model: mujoco.MjModel
@@ -41,68 +42,71 @@ class Robot:
     joints: tuple[Joint, ...]
     actuated: tuple[str, ...]
     feet: tuple[str, ...]
+    forward_axis: Axis = "x"
 
     @classmethod
-    def from_mjcf(cls, path: str | Path, feet: Sequence[str] | None = None) -> Robot:
+    def from_mjcf(
+        cls,
+        source: str | Path | mujoco.MjModel | mujoco.MjSpec,
+        feet: Sequence[str] | None = None,
+        forward: Axis | None = None,
+    ) -> Robot:
         """Read a robot.
 
         Args:
-            path: An MJCF file, or the name of a robot that ships with the library (``"biped"``).
-            feet: Names of the bodies that may touch the ground; by default the last body of every leg that can collide.
+            source: An MJCF file, the name of a robot that ships with the library (``"biped"``), or a model in memory.
+            feet: Names of the bodies (or of their geoms) that may touch the ground; by default those at the ends of
+                the legs that stand on it, see :func:`.find_feet`.
+            forward: Where forward is; by default see :func:`.find_forward`.
 
         Raises:
-            RobotError: If the file is missing, does not parse, or has no usable base, actuator, foot or contact sensor.
+            RobotError: If the file is missing, does not parse, or has no one root, no joint or no foot.
         """
-        file = find_mjcf(path)
-        try:
-            model = mujoco.MjModel.from_xml_path(str(file))
-        except ValueError as error:
-            raise RobotError(f"{file} is not an MJCF that MuJoCo can compile: {error}") from error
-        if model.nu == 0:
-            raise RobotError(f"{file} has no actuator: add a <position> for every joint that the policy is to move.")
+        model, file = load_mjcf(source)
         root = root_body(model, file)
-        joints = tuple(read_joints(model, root, file))
-        actuated = tuple(read_actuated(model, joints, file))
-        names = tuple(feet) if feet is not None else tuple(leaf_bodies(model, root))
-        robot = cls(model, file, model.body(root).name, joints, actuated, names)
-        robot._check_feet()
-        _ = robot.forward, robot.vertical, robot.action_mirror
-        return robot
+        joints = read_joints(model, root, file)
+        if forward is not None and forward not in AXES:
+            raise RobotError(f"forward must be one of {', '.join(AXES)}, got {forward!r}.")
+        if forward is None:
+            reflected = {axis: count_reflected(model, joints, Base(model, root, axis).frame[1]) for axis in ("x", "y")}
+            forward = find_forward(model, root, joints, reflected)
+        names = find_feet(model, root, file) if feet is None else named_feet(model, root, feet, file)
+        actuated = tuple(read_actuated(model, joints))
+        return cls(model, file, body_name(model, root), tuple(joints), actuated, tuple(names), forward)
 
-    # Base: the boom.
+    # Base.
+
+    @cached_property
+    def base(self) -> Base:
+        """How the root body moves about."""
+        return Base(self.model, root_body(self.model, self.path), self.forward_axis)
 
     @property
     def forward(self) -> int:
-        """Index in ``qpos`` and ``qvel`` of the slide along x (m, m/s)."""
-        return self._slide(0)
+        """Index in ``qpos`` of the coordinate along the forward axis (m); on slides, in ``qvel`` too."""
+        return self._index("forward")
 
     @property
     def vertical(self) -> int:
-        """Index in ``qpos`` and ``qvel`` of the slide along z (m, m/s)."""
-        return self._slide(2)
+        """Index in ``qpos`` of the coordinate along z (m); on slides, in ``qvel`` too."""
+        return self._index("height")
 
-    def _slide(self, axis: int) -> int:
-        for joint in self._base_joints():
-            direction = np.abs(self.model.jnt_axis[joint])
-            if self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE and direction[axis] > 0.999:
-                return int(self.model.jnt_qposadr[joint])
-        raise RobotError(
-            f"{self.path}: the root body {self.root!r} has no slide joint along {'xyz'[axis]}; "
-            "a boom base needs one along x and one along z."
-        )
-
-    def _base_joints(self) -> range:
-        body = self.model.body(self.root).id
-        start = int(self.model.body_jntadr[body])
-        return range(start, start + int(self.model.body_jntnum[body]))
+    def _index(self, coordinate: str) -> int:
+        axis = self.base.frame[{"forward": 0, "height": 2}[coordinate]]
+        if self.base.free is not None:
+            return self.base.free.qpos + int(np.argmax(np.abs(axis)))
+        if coordinate not in self.base.single:
+            raise RobotError(
+                f"{self.path}: the root body {self.root!r} has no slide joint along "
+                f"{'xyz'[int(np.argmax(np.abs(axis)))]}; "
+                "a robot that walks needs a free joint, or slides along its forward axis and along z."
+            )
+        return self.base.single[coordinate].qpos
 
     @cached_property
     def standing_qpos(self) -> np.ndarray:
-        """``qpos`` of the key ``stand``, or the model's reference pose. Shape ``[nq]``."""
-        for key in range(self.model.nkey):
-            if self.model.key(key).name == "stand":
-                return self.model.key_qpos[key].copy()
-        return self.model.qpos0.copy()
+        """``qpos`` of the key ``stand``, or the model's reference pose; see :func:`.standing_pose`. Shape ``[nq]``."""
+        return standing_pose(self.model)
 
     # Joints and actuators.
 
@@ -143,17 +147,22 @@ class Robot:
 
     @cached_property
     def hip_signs(self) -> np.ndarray:
-        """Factors that make every leg's hip angle count in the first leg's sense. Shape ``[feet]``."""
-        return np.array([1.0, *(self.mirror_sign(leg[0].name) for leg in self.legs[1:])])
+        """Factors that make a hip's angle count in the sense of its mirror image, if that comes first. ``[feet]``."""
+        mirrored = self.mirror_feet
+        return np.array([self.mirror_sign(leg[0].name) if mirrored[i] < i else 1.0 for i, leg in enumerate(self.legs)])
 
     def _joints_above(self, body: str) -> list[Joint]:
-        index = self.model.body(body).id
+        index = self._bodies[body]
         while index:
-            found = [j for j in self.joints if j.body == self.model.body(index).name]
+            found = [j for j in self.joints if self._bodies[j.body] == index]
             if found:
                 return found
             index = int(self.model.body_parentid[index])
         return []
+
+    @cached_property
+    def _bodies(self) -> dict[str, int]:
+        return {body_name(self.model, b): b for b in range(self.model.nbody)}
 
     # Contacts.
 
@@ -183,37 +192,48 @@ class Robot:
         for i in range(model.nsensor):
             is_contact = model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT
             if is_contact and model.sensor_objtype[i] == mujoco.mjtObj.mjOBJ_BODY:
-                found[model.body(int(model.sensor_objid[i])).name] = int(model.sensor_adr[i])
+                found[body_name(model, int(model.sensor_objid[i]))] = int(model.sensor_adr[i])
         return found
 
-    def _check_feet(self) -> None:
-        bodies = [self.model.body(i).name for i in range(1, self.model.nbody)]
-        unknown = [foot for foot in self.feet if foot not in bodies]
-        if unknown:
-            raise RobotError(f"{self.path} has no body {', '.join(unknown)}; its bodies are {', '.join(bodies)}.")
-        if not self.feet:
-            raise RobotError(f"{self.path} has no foot: no leg ends in a body with a geom that collides.")
-        self.contact_sensors(self.feet)
+    # Mirror: reflection in the sagittal plane.
 
-    # Mirror: reflection in the sagittal (xz) plane.
+    @cached_property
+    def mirror(self) -> dict[str, str]:
+        """Every joint's mirror image; its own if it has none."""
+        last = {leg[-1].name for leg in self.legs if leg}
+        return pair_joints(self.model, self.joints, last, self.base.frame[1])
 
     def mirror_name(self, name: str) -> str:
-        """The name of the same part on the other side, or ``name`` if it has no side."""
-        joints, bodies = {j.name for j in self.joints}, {self.model.body(i).name for i in range(self.model.nbody)}
-        known = joints if name in joints else bodies
-        for right, left in _SIDES:
-            for here, there in ((right, left), (left, right)):
-                swapped = re.sub(rf"(?<![a-zA-Z]){here}(?![a-zA-Z])", there, name)
-                if swapped != name and swapped in known:
-                    return swapped
-        return name
+        """The name of the same joint or body on the other side, or ``name`` if it has no side."""
+        if name in self.mirror:
+            return self.mirror[name]
+        other = swap_side(name, self._bodies)
+        if other != name:
+            return other
+        moved = [joint.name for joint in self.joints if joint.body == name]
+        return self.joint(self.mirror[moved[-1]]).body if moved else name
 
     def mirror_sign(self, name: str) -> float:
-        """+1 if equal angles mirror each other, -1 if opposite ones do (axis against its mirrored partner's)."""
-        here, there = self.model.joint(name), self.model.joint(self.mirror_name(name))
-        # A rotation axis is a pseudo-vector: the reflection y -> -y keeps its y and turns its x and z round.
-        reflected = here.axis * np.array([-1.0, 1.0, -1.0])
-        return 1.0 if float(reflected @ there.axis) > 0.0 else -1.0
+        """+1 if equal angles of a joint mirror each other, -1 if opposite ones do (its axis against its partner's)."""
+        return reflected_sign(self.model, self.joint(name), self.joint(self.mirror[name]), self.base.frame[1])
+
+    @cached_property
+    def mirror_feet(self) -> tuple[int, ...]:
+        """For each foot the index of its mirror image; its own if that is no foot."""
+        ends = [leg[-1].name if leg else None for leg in self.legs]
+        order = []
+        for i, (foot, end) in enumerate(zip(self.feet, ends, strict=True)):
+            other = self.mirror_name(foot)
+            same = [k for k, name in enumerate(ends) if end is not None and name == self.mirror[end]]
+            order.append(self.feet.index(other) if other in self.feet else same[0] if len(same) == 1 else i)
+        return tuple(other if order[other] == i else i for i, other in enumerate(order))
+
+    @cached_property
+    def foot_pairs(self) -> tuple[tuple[int, ...], ...]:
+        """The feet, one or two to a ground node: all of at most two; of more, each with its mirror image."""
+        if len(self.feet) <= 2:
+            return (tuple(range(len(self.feet))),)
+        return tuple((i, other) if other != i else (i,) for i, other in enumerate(self.mirror_feet) if i <= other)
 
     @cached_property
     def action_mirror(self) -> tuple[np.ndarray, np.ndarray]:
@@ -222,9 +242,44 @@ class Robot:
         Raises:
             RobotError: If a joint has an actuator and its mirror image has none.
         """
-        lonely = [name for name in self.actuated if self.mirror_name(name) not in self.actuated]
+        lonely = [name for name in self.actuated if self.mirror[name] not in self.actuated]
         if lonely:
             raise RobotError(f"{self.path}: the mirror image of {', '.join(lonely)} has no actuator.")
-        order = [self.actuated.index(self.mirror_name(name)) for name in self.actuated]
+        order = [self.actuated.index(self.mirror[name]) for name in self.actuated]
         sign = [self.mirror_sign(name) for name in self.actuated]
         return np.array(order), np.array(sign)
+
+    # What the walking task asks for beyond a graph.
+
+    def check_walking(self) -> None:
+        """Check that the robot can be taught to walk: a base, position servos, legs and contact sensors.
+
+        Raises:
+            RobotError: If something is missing; the message says what to add.
+        """
+        model, file = self.model, self.path
+        if model.nu == 0:
+            raise RobotError(f"{file} has no actuator: add a <position> for every joint that the policy is to move.")
+        _ = self.forward, self.vertical
+        for joint in self.joints:
+            if joint.kind != "hinge":
+                raise RobotError(
+                    f"{file}: joint {joint.name!r} of body {joint.body!r} must be a hinge, is a {joint.kind}."
+                )
+        ids = {joint.id for joint in self.joints}
+        for i in range(model.nu):
+            name, joint_id = model.actuator(i).name or str(i), int(model.actuator_trnid[i, 0])
+            if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT:
+                raise RobotError(f"{file}: actuator {name!r} does not drive a joint.")
+            if joint_id not in ids:
+                driven = model.joint(joint_id).name
+                raise RobotError(f"{file}: actuator {name!r} drives {driven!r}, which is not a joint below the root.")
+            if model.actuator_biastype[i] != mujoco.mjtBias.mjBIAS_AFFINE or model.actuator_biasprm[i, 1] >= 0:
+                raise RobotError(f"{file}: actuator {name!r} must be a <position> servo: actions are desired angles.")
+            if not model.actuator_ctrllimited[i]:
+                raise RobotError(f"{file}: actuator {name!r} needs a ctrlrange (rad), onto which actions are mapped.")
+        for foot, leg in zip(self.feet, self.legs, strict=True):
+            if not leg:
+                raise RobotError(f"{file}: foot {foot!r} hangs on no joint, so it is no leg's end; name other feet.")
+        self.contact_sensors(self.feet)
+        _ = self.action_mirror

@@ -16,8 +16,8 @@ ROOT = Path(gctd3.__file__).parent
 # a checkpoint keeps them, the trainer does all of it and the commands call it. A new module gets a place here.
 STAGES = [
     "errors",
-    "mjcf robot",
-    "graph",
+    "mjcf shapes feet mirror base robot",
+    "nodes graph",
     "envs.reward envs.gait envs.simulation envs.batched envs.dmc envs.gym envs.factory envs",
     "nn.layers nn.graph_conv nn.encoder nn.network nn.actor nn.critic nn",
     "objectives.stacked objectives.td3 objectives.sac objectives",

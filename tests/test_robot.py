@@ -287,7 +287,7 @@ def test_unusable_mjcf(tmp_path, case):
     assert text != TWO_LEGS
     path = write(tmp_path, text)
     with pytest.raises(RobotError, match=re.escape(element)) as error:
-        Robot.from_mjcf(path)
+        Robot.from_mjcf(path).check_walking()
     assert str(path) in str(error.value)
 
 
@@ -305,9 +305,11 @@ def test_missing_files_and_unknown_names(tmp_path, robot):
 def test_base_without_a_slide_along_z(tmp_path):
     path = write(tmp_path, TWO_LEGS.replace('<joint name="z" type="slide" axis="0 0 1"/>', ""))
     with pytest.raises(RobotError, match=r"robot\.xml: the root body 'torso' has no slide joint along z"):
-        Robot.from_mjcf(path)
+        Robot.from_mjcf(path).check_walking()
 
 
 def test_actuators_must_be_servos(tmp_path):
+    text = TWO_LEGS.replace("<position", "<motor").replace("</position", "</motor").replace('ctrlrange="-1 1"', "")
+    robot = Robot.from_mjcf(write(tmp_path, text))  # has a graph, but cannot walk
     with pytest.raises(RobotError, match="must be a <position> servo"):
-        Robot.from_mjcf(write(tmp_path, TWO_LEGS.replace("<position", "<motor").replace("</position", "</motor")))
+        robot.check_walking()

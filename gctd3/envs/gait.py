@@ -112,6 +112,7 @@ class WalkingTask:
         control_dt: Control period (s).
 
     Raises:
+        RobotError: If the robot lacks what walking asks for, see :meth:`.Robot.check_walking`.
         ConfigError: If the robot does not have two legs that start at its root.
     """
 
@@ -126,6 +127,7 @@ class WalkingTask:
         self.control_dt = control_dt
         self.reward = reward if reward is not None else Reward()
         self.endings = endings if endings is not None else Endings()
+        robot.check_walking()
         if len(robot.feet) != FEATURES:
             raise ConfigError(f"The walking task needs a robot with 2 feet, {robot.path} has {len(robot.feet)}.")
         graph = KinematicGraph.from_robot(robot)
