@@ -40,6 +40,7 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
         )
     # The name of the robot in a run's path, whether it ships with gctd3 or is a file.
     OmegaConf.register_new_resolver("robot_stem", lambda name: Path(str(name)).stem, replace=True)
+    sys.argv[1:] = map(_robot_file, sys.argv[1:])
     # Hydra would print and exit; this way its errors come here, to be said in the library's words.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
@@ -54,6 +55,13 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
         if GlobalHydra.instance().is_initialized():
             raise
         _fail(f"The arguments cannot be combined: {error}")
+
+
+def _robot_file(argument: str) -> str:
+    """``robot=my.xml`` as Hydra wants it said: the group's option for files, with the file as its name."""
+    key, _, value = argument.partition("=")
+    files = value.split(",")
+    return f"robot.name={value}" if key == "robot" and all(file.endswith(".xml") for file in files) else argument
 
 
 def _guarded(task: Callable[[DictConfig], None], config: str) -> Callable[[DictConfig], None]:

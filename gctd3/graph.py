@@ -231,3 +231,13 @@ def _symmetric_normalize(matrix: np.ndarray) -> np.ndarray:
     degree = matrix.sum(axis=1)
     scale = np.where(degree > 0, 1.0 / np.sqrt(np.maximum(degree, 1e-12)), 0.0)
     return scale[:, None] * matrix * scale[None, :]
+
+
+def main() -> None:
+    """Entry point of ``python -m gctd3.graph``."""
+    # The command stands late in the flow of data; the graph itself needs none of what it needs.
+    import_module("gctd3.graph_picture").main()
+
+
+if __name__ == "__main__":
+    main()

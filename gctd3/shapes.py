@@ -8,8 +8,10 @@ import numpy as np
 _RING = 24  # points around a round shape
 _ANGLES = 2 * np.pi * np.arange(_RING) / _RING
 _CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
-# Great circles in the three coordinate planes: seen along an axis, a sphere's outline is one of them.
-_SPHERE = np.concatenate([np.insert(_CIRCLE, axis, 0.0, axis=1) for axis in range(3)])
+# Meridians, poles included: the lowest point is exact.
+_SPHERE = np.concatenate(
+    [_CIRCLE[:, :1] * [[np.cos(a), np.sin(a), 0.0]] + _CIRCLE[:, 1:] * [[0.0, 0.0, 1.0]] for a in _ANGLES[: _RING // 2]]
+)
 _CORNERS = np.array(np.meshgrid((-1, 1), (-1, 1), (-1, 1))).reshape(3, -1).T.astype(float)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -45,14 +45,26 @@ class RobotSettings:
         name: A shipped robot, or the path of an MJCF file.
         graph: Preset of :meth:`gctd3.KinematicGraph.from_robot`.
         graph_seed: For ``graph=random``.
+        feet: Names of the bodies that may touch the ground; ``None`` for those that stand on it.
+        forward: Where the robot is to go, of the world's axes; ``None`` to find out.
     """
 
     name: str = "biped"
     graph: Literal["tree", "authors", "edgeless", "complete", "random"] = "tree"
     graph_seed: int = 0
+    feet: Sequence[str] | None = None
+    forward: Literal["x", "-x", "y", "-y"] | None = None
 
     def __post_init__(self) -> None:
         check_seed("graph_seed", self.graph_seed)
+
+    def load(self, feet: Sequence[str] | None = None) -> Robot:
+        """The robot, with other feet if some are named.
+
+        Raises:
+            RobotError: If it cannot be used.
+        """
+        return Robot.from_mjcf(self.name, self.feet if feet is None else feet, self.forward)
 
 
 @dataclass(frozen=True)
@@ -188,7 +200,7 @@ class TrainSettings:
         Raises:
             RobotError: If it cannot be used.
         """
-        return Robot.from_mjcf(self.robot.name)
+        return self.robot.load()
 
     def architecture(self, device: torch.device | str = "cpu") -> Architecture:
         """What the networks are built from, to lie on ``device``."""

@@ -30,6 +30,7 @@ STAGES = [
     "cli",
     "train_settings checkpoint",
     "evaluate",
+    "picture graph_picture",
     "render",
     "trainer",
     "train",
