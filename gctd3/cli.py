@@ -58,10 +58,13 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
 
 
 def _robot_file(argument: str) -> str:
-    """``robot=my.xml`` as Hydra wants it said: the group's option for files, with the file as its name."""
+    """``robot=my.xml`` as Hydra wants it said: the name of the group's default robot replaced by the file."""
     key, _, value = argument.partition("=")
     files = value.split(",")
-    return f"robot.name={value}" if key == "robot" and all(file.endswith(".xml") for file in files) else argument
+    if key != "robot" or not all(file.endswith(".xml") for file in files):
+        return argument
+    # Quoted, so that a path may hold what Hydra's grammar would read as its own.
+    return "robot.name=" + ",".join("'" + file.replace("'", "\\'") + "'" for file in files)
 
 
 def _guarded(task: Callable[[DictConfig], None], config: str) -> Callable[[DictConfig], None]:

@@ -22,6 +22,7 @@ from gctd3.envs.gait import FEATURES
 from gctd3.envs.reward import Reward
 from gctd3.errors import ConfigError, check_seed
 from gctd3.graph import KinematicGraph
+from gctd3.nodes import foot_slots
 from gctd3.robot import Robot
 from gctd3.settings import build
 
@@ -42,6 +43,7 @@ class Episode:
         hips: Hip angles in the sense of the first leg's, one column per foot, shape ``[T, feet]`` (rad).
         feet_down: Contacts, shape ``[T, feet]``.
         success: Whether it reached the finish.
+        pairs: Feet on the right and left that mirror each other.
     """
 
     reward: np.ndarray
@@ -50,6 +52,7 @@ class Episode:
     hips: np.ndarray
     feet_down: np.ndarray
     success: bool
+    pairs: tuple[tuple[int, int], ...] = ((0, 1),)
 
     def velocity(self, dt: float) -> float:
         """Distance over time (m/s)."""
@@ -60,9 +63,10 @@ class Episode:
         walked = self.position > self.position[-1] - LAST_METRES
         if self.position[-1] < LAST_METRES or walked.sum() < 2:
             return None
+        hips = [gait_metrics.correlation(self.hips[walked, i], self.hips[walked, k]) for i, k in self.pairs]
         flight, single, double = gait_metrics.support_fractions(self.feet_down[walked])
         return {
-            "hip_correlation": gait_metrics.correlation(self.hips[walked, 0], self.hips[walked, 1]),
+            "hip_correlation": float(np.mean(hips)) if hips else math.nan,
             "stride_hz": gait_metrics.stride_frequency(self.feet_down[walked], dt),
             "flight_fraction": flight,
             "single_support_fraction": single,
@@ -121,6 +125,7 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int
         control_dt: Control period (s).
     """
     names = KinematicGraph.from_robot(robot).nodes
+    ground, feature = foot_slots(robot).T
     hips = [names.index(leg[0].name) for leg in robot.legs]
     count = env.batch_size[0]
     alive = torch.ones(count, dtype=torch.bool)
@@ -147,7 +152,8 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int
                 position=position[:steps, i],
                 height=mine[:, 0, 0],
                 hips=mine[:, hips, 0] * robot.hip_signs,
-                feet_down=mine[:, -1] > 0.5,
+                feet_down=mine[:, ground, feature] > 0.5,
+                pairs=tuple((i, other) for i, other in enumerate(robot.mirror_feet) if i < other),
                 success=bool(success[:steps, i].any()),
             )
         )

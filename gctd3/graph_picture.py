@@ -11,7 +11,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from gctd3.cli import command
 from gctd3.errors import ConfigError
@@ -240,7 +240,8 @@ def _names(graph: KinematicGraph, colours: list[str], left: float) -> tuple[list
 
 
 def _task(config: DictConfig) -> None:
-    settings: GraphSettings = build(config)
+    # A robot's YAML also says how to train it.
+    settings: GraphSettings = build(OmegaConf.masked_copy(config, ["_target_", *GraphSettings.__dataclass_fields__]))
     robot = settings.robot.load(settings.feet)
     graph = KinematicGraph.from_robot(robot, settings.robot.graph, settings.robot.graph_seed)
     print(f"{robot.path}: {robot.base.kind} base, forward {robot.forward_axis}, feet {', '.join(robot.feet)}")

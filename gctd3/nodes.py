@@ -63,6 +63,15 @@ def read_nodes(robot: Robot) -> list[Node]:
     return nodes
 
 
+def foot_slots(robot: Robot) -> np.ndarray:
+    """Where each foot's contact stands: ground node (-1 is the last node) and feature. Shape ``[feet, 2]``."""
+    slots = np.zeros((len(robot.feet), 2), dtype=np.int64)
+    for i, feet in enumerate(robot.foot_pairs):
+        for feature, foot in enumerate(feet):
+            slots[foot] = i - len(robot.foot_pairs), feature
+    return slots
+
+
 def read_adjacency(nodes: Sequence[Node], preset: str, seed: int) -> np.ndarray:
     """The edges of a preset, see :meth:`.KinematicGraph.from_robot`; shape ``[N, N]``, ``A[i, j] = 1``: i takes in j.
 

@@ -12,10 +12,12 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs.transforms import MultiStepTransform, Transform
 
+from gctd3.base import EXTRA
 from gctd3.envs.gait import FEATURES
 from gctd3.errors import ConfigError
 from gctd3.frame_buffer import FrameBuffer
 from gctd3.graph import KinematicGraph
+from gctd3.nodes import foot_slots
 from gctd3.robot import Robot
 
 KEPT = ("nodes", "counters", "action", ("next", "nodes"), ("next", "counters"), ("next", "reward"))
@@ -66,11 +68,17 @@ class Mirror(Transform):
         width = FEATURES * history
         source = np.arange(graph.num_nodes * width).reshape(graph.num_nodes, width)[list(graph.mirror)]
         sign = np.ones_like(source, dtype=np.float32)
-        for row, name in enumerate(graph.nodes[1:-1], start=1):
-            sign[row] = robot.mirror_sign(name)
-        # The ground node's features are one per foot, so they change places too.
-        feet = np.array([robot.feet.index(robot.mirror_name(foot)) for foot in robot.feet])
-        source[-1] = source[-1].reshape(history, FEATURES)[:, feet].reshape(-1)
+        for row, (name, kind) in enumerate(zip(graph.nodes, graph.kinds, strict=True)):
+            if kind == "base":
+                sign[row] = EXTRA[robot.base.extra[row - 1]]
+            elif kind == "hinge":
+                sign[row] = robot.mirror_sign(name)
+        # A ground node's features are one per foot, so they change places too.
+        feet, slots = np.array(robot.mirror_feet), foot_slots(robot)
+        frames = source.reshape(graph.num_nodes, history, FEATURES)
+        before = frames.copy()
+        for (node, feature), (other_node, other_feature) in zip(slots, slots[feet], strict=True):
+            frames[node, :, feature] = before[other_node, :, other_feature]
         hips = len(feet) + feet
         actions, action_sign = robot.action_mirror
         self.register_buffer("nodes_from", torch.from_numpy(source.reshape(-1)))

@@ -25,6 +25,8 @@ def sense(y=0.0, z=0.0, v=0.0, hips=(0.1, -0.1), feet=(True, False), other=False
         velocities=np.zeros(6),
         feet_down=np.array(feet),
         other_down=np.array(other),
+        base=np.zeros((0, 2)),
+        tilt=np.array(0.0),
     )
 
 
@@ -60,6 +62,8 @@ def random_walk(rng, steps, shape):
             velocities=rng.uniform(-7.0, 7.0, (*shape, 6)),
             feet_down=rng.uniform(size=(*shape, 2)) < 0.5,
             other_down=rng.uniform(size=shape) < 0.05,
+            base=np.zeros((*shape, 0, 2)),
+            tilt=np.zeros(shape),
         )
         for _ in range(steps)
     ]
@@ -289,6 +293,9 @@ def test_bad_settings_are_named(settings, names):
             settings(**{name: 0})
 
 
-def test_a_robot_with_one_foot_is_refused():
-    with pytest.raises(ConfigError, match=r"needs a robot with 2 feet, .*biped\.xml has 1"):
-        WalkingTask(Robot.from_mjcf("biped", feet=["foot_right"]))
+def test_a_robot_may_stand_on_one_foot():
+    task = WalkingTask(Robot.from_mjcf("biped", feet=["foot_right"]))
+    now = sense(feet=(True,))
+    # The ground has room for two contacts, and the other foot counts as a part that must not touch.
+    np.testing.assert_array_equal(task.node_features(now)[-1], (1.0, 0.0))
+    assert task.num_counters == 2 and "foot_left" in task.robot.other_contact_bodies

@@ -22,7 +22,7 @@ with warnings.catch_warnings():
 
 
 class Physics(mujoco.Physics):
-    """A robot on a boom, with its sensors in the task's terms."""
+    """A robot with its sensors in the task's terms."""
 
     def measure(self, task: WalkingTask) -> Measurement:
         """What the robot senses now."""

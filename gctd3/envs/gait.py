@@ -13,8 +13,8 @@ from typing import TypeVar
 import numpy as np
 
 from gctd3.envs.reward import Endings, Reward
-from gctd3.errors import ConfigError
 from gctd3.graph import KinematicGraph
+from gctd3.nodes import foot_slots
 from gctd3.robot import Robot
 
 FEATURES = 2  # of a node in one frame
@@ -32,6 +32,9 @@ class Measurement:
         velocities: Joint velocities, shape ``[*, J]`` (rad/s).
         feet_down: Whether each foot touches the ground, shape ``[*, feet]``.
         other_down: Whether anything else touches the ground, shape ``[*]``.
+        base: The base's other coordinates and their rates in the order of ``robot.base.extra``, from standing, shape
+            ``[*, E, 2]`` (rad and rad/s; ``side`` m and m/s); a boom has none (``E = 0``).
+        tilt: Angle between the body's vertical and the world's, shape ``[*]`` (rad).
     """
 
     position: np.ndarray
@@ -41,6 +44,8 @@ class Measurement:
     velocities: np.ndarray
     feet_down: np.ndarray
     other_down: np.ndarray
+    base: np.ndarray
+    tilt: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -103,17 +108,16 @@ class Outcome:
 
 
 class WalkingTask:
-    """Walk forward as far as the finish: senses a robot on a boom, and judges each step.
+    """Walk forward as far as the finish: senses a robot on whatever base, and judges each step.
 
     Args:
-        robot: The robot; it must have two legs.
+        robot: The robot.
         reward: The reward's weights.
         endings: The endings' thresholds.
         control_dt: Control period (s).
 
     Raises:
         RobotError: If the robot lacks what walking asks for, see :meth:`.Robot.check_walking`.
-        ConfigError: If the robot does not have two legs that start at its root.
     """
 
     def __init__(
@@ -128,43 +132,59 @@ class WalkingTask:
         self.reward = reward if reward is not None else Reward()
         self.endings = endings if endings is not None else Endings()
         robot.check_walking()
-        if len(robot.feet) != FEATURES:
-            raise ConfigError(f"The walking task needs a robot with 2 feet, {robot.path} has {len(robot.feet)}.")
         graph = KinematicGraph.from_robot(robot)
         names = [joint.name for joint in robot.joints]
         self.nodes = graph.nodes
         self.hips = np.array([names.index(leg[0].name) for leg in robot.legs])
         self._qpos = np.array([joint.qpos for joint in robot.joints])
         self._qvel = np.array([joint.qvel for joint in robot.joints])
-        self._joint_of_node = np.array([names.index(node) for node in graph.nodes[1:-1]])
+        self._joint_nodes = np.array([i for i, kind in enumerate(graph.kinds) if kind == "hinge"])
+        self._joint_of_node = np.array([names.index(graph.nodes[i]) for i in self._joint_nodes])
+        self._foot_node, self._foot_feature = foot_slots(robot).T
+        self._pairs = np.array([(i, k) for i, k in enumerate(robot.mirror_feet) if i < k], dtype=np.int64).reshape(
+            -1, 2
+        )
         self._feet = robot.contact_sensors(robot.feet)
         self._others = robot.contact_sensors(robot.other_contact_bodies)
-        self._forward, self._vertical = robot.forward, robot.vertical
-        self._standing_height = robot.standing_qpos[robot.vertical]
+        self._base, self._extra = robot.base, robot.base.extra
+        standing = self._base.read(robot.standing_qpos, np.zeros(robot.model.nv))
+        self._standing = {name: value for name, (value, _) in standing.items()}
 
     def measure(self, qpos: np.ndarray, qvel: np.ndarray, sensordata: np.ndarray) -> Measurement:
         """Read the simulator: ``qpos [*, nq]``, ``qvel [*, nv]``, ``sensordata [*, ns]``."""
+        read = self._base.read(qpos, qvel)
+        place = {name: np.asarray(value - self._standing[name]) for name, (value, _) in read.items()}
+        if self._extra:
+            base = np.stack([np.stack([place[name], read[name][1]], axis=-1) for name in self._extra], axis=-2)
+            upright = np.cos(place.get("roll", 0.0)) * np.cos(place.get("pitch", 0.0))
+            tilt = np.broadcast_to(np.arccos(np.clip(upright, -1.0, 1.0)), qpos.shape[:-1])
+        else:
+            base, tilt = np.zeros((*qpos.shape[:-1], 0, FEATURES)), np.zeros(qpos.shape[:-1])
         return Measurement(
-            position=np.array(qpos[..., self._forward]),
-            height=np.asarray(qpos[..., self._vertical] - self._standing_height),
-            velocity=np.array(qvel[..., self._forward]),
+            position=place["forward"],
+            height=place["height"],
+            velocity=np.asarray(read["forward"][1]),
             angles=qpos[..., self._qpos],
             velocities=qvel[..., self._qvel],
             feet_down=sensordata[..., self._feet] > 0,
             other_down=np.asarray((sensordata[..., self._others] > 0).any(axis=-1)),
+            base=base,
+            tilt=tilt,
         )
 
     def node_features(self, now: Measurement) -> np.ndarray:
         """The state of every node in one frame (section 2.3), shape ``[*, N, 2]``.
 
-        Root: height (m), forward velocity (m/s). Joint: angle (rad), velocity (rad/s). Ground: each foot's contact.
+        Root: height (m), forward velocity (m/s). Base: a coordinate (rad or m) and its rate. Joint: angle (rad),
+        velocity (rad/s). Ground: the contacts of its feet, 0 where it has but one.
         """
-        features = np.empty((*now.position.shape, len(self.nodes), FEATURES), dtype=np.float32)
+        features = np.zeros((*now.position.shape, len(self.nodes), FEATURES), dtype=np.float32)
         features[..., 0, 0] = now.height
         features[..., 0, 1] = now.velocity
-        features[..., 1:-1, 0] = now.angles[..., self._joint_of_node]
-        features[..., 1:-1, 1] = now.velocities[..., self._joint_of_node]
-        features[..., -1, :] = now.feet_down
+        features[..., 1 : 1 + now.base.shape[-2], :] = now.base
+        features[..., self._joint_nodes, 0] = now.angles[..., self._joint_of_node]
+        features[..., self._joint_nodes, 1] = now.velocities[..., self._joint_of_node]
+        features[..., self._foot_node, self._foot_feature] = now.feet_down
         return features
 
     @property
@@ -218,6 +238,8 @@ class WalkingTask:
     def _outcome(self, before: Progress, after: Progress, now: Measurement) -> Outcome:
         w, end = self.reward, self.endings
         fell = (now.height < end.fall_height) | now.other_down
+        if end.fall_tilt is not None:
+            fell = fell | (now.tilt > end.fall_tilt)
         long_contact = _longer_than(after.contact_steps, end.contact_steps)
         stuck_hip = _longer_than(after.hip_steps, end.hip_steps)
 
@@ -236,7 +258,8 @@ class WalkingTask:
             "stuck_hip": -w.stuck_hip * stuck_hip,
         }
         if w.antiphase:
-            terms["antiphase"] = -w.antiphase * np.abs(now.angles[..., self.hips] @ self.robot.hip_signs)
+            hips = now.angles[..., self.hips] * self.robot.hip_signs
+            terms["antiphase"] = -w.antiphase * np.abs(hips[..., self._pairs].sum(axis=-1)).sum(axis=-1)
         if w.single_support:
             terms["single_support"] = w.single_support * (feet[..., -1] == 1)
         if w.overspeed:
@@ -245,6 +268,11 @@ class WalkingTask:
             short = np.maximum(w.air_time_target - before.air_steps * self.control_dt, 0.0)
             touchdown = now.feet_down & (before.air_steps > 0)
             terms["air_time"] = -w.air_time * np.where(touchdown, short, 0.0).sum(axis=-1)
+        if w.tilt:
+            terms["tilt"] = -w.tilt * now.tilt
+        for name, weight in (("yaw", w.heading), ("side", w.off_line)):
+            if weight and name in self._extra:
+                terms[name] = -weight * np.abs(now.base[..., self._extra.index(name), 0])
 
         terminated = fell | long_contact | stuck_hip
         success = (now.position >= end.finish) & ~terminated

@@ -28,7 +28,7 @@ class Reward:
         fall: Punishment for falling.
         long_contact: Punishment for a foot that stays down too long.
         stuck_hip: Punishment for a hip that stays on one side too long.
-        antiphase: Shaping: punishment per radian of the sum of the hip angles (1/rad).
+        antiphase: Shaping: punishment per radian of the sum of the hip angles of a left and a right leg (1/rad).
         single_support: Shaping: bonus for each step with exactly one foot down.
         overspeed: Shaping: punishment per m/s above ``overspeed_from`` (s/m).
         overspeed_from: Forward velocity from which ``overspeed`` counts (m/s).
@@ -36,6 +36,9 @@ class Reward:
             ``air_time_target`` (1/s); after ``feet_air_time`` of Rudin et al. 2022 (arXiv:2109.11978), which also
             pays for longer times.
         air_time_target: Time in the air from which a step costs nothing (s).
+        tilt: Shaping: punishment per radian between the body's vertical and the world's (1/rad).
+        heading: Shaping, for a base that can turn: punishment per radian off the forward axis (1/rad).
+        off_line: Shaping, for a base that can move sideways: punishment per metre off the straight line (1/m).
     """
 
     target_velocity: float = 0.9
@@ -56,6 +59,9 @@ class Reward:
     overspeed_from: float = 1.2
     air_time: float = 0.0
     air_time_target: float = 0.3
+    tilt: float = 0.0
+    heading: float = 0.0
+    off_line: float = 0.0
 
     def __post_init__(self) -> None:
         _require_at_least(self, 1, "progress_steps", "frames")
@@ -63,10 +69,12 @@ class Reward:
 
 @dataclass(frozen=True)
 class Endings:
-    """When an episode ends. The first three terminate it, the last two truncate it (its value is bootstrapped).
+    """When an episode ends: ``finish`` and ``time_limit`` truncate it (its value is bootstrapped), the rest terminate it.
 
     Attributes:
         fall_height: Body height below which the robot has fallen (m from standing).
+        fall_tilt: Angle between the body's vertical and the world's above which it has fallen (rad); ``None`` for any.
+            A boom holds the body upright.
         contact_steps: Steps that a foot may stay down; ``None`` for any number.
         hip_steps: Steps that a hip's angle may keep its sign; ``None`` for any number.
         finish: Distance at which the episode is won (m).
@@ -78,9 +86,12 @@ class Endings:
     hip_steps: int | None = 50
     finish: float = 15.0
     time_limit: int = 1600
+    fall_tilt: float | None = None
 
     def __post_init__(self) -> None:
         _require_at_least(self, 1, "contact_steps", "hip_steps", "time_limit")
+        if self.fall_tilt is not None and not self.fall_tilt > 0:
+            raise ConfigError(f"fall_tilt must be an angle above 0 rad, or null, got {self.fall_tilt}.")
         if not self.finish > 0:
             raise ConfigError(f"finish must be a distance above 0 m, got {self.finish}.")
 
