@@ -50,7 +50,7 @@ WRONG = {
     "total_frames=-1": ["total_frames", "at least", "-1"],
     "env.control_dt=0.013": ["control_dt", "0.005", "0.013"],
     "robot.graph=ring": ["robot.graph", "tree, authors, edgeless, complete, random", "'ring'"],
-    "robot.name=quadruped": ["'quadruped'", "biped", ".xml"],
+    "robot.name=centipede": ["'centipede'", "biped", ".xml"],
     "robot.name=nowhere.xml": ["nowhere.xml"],
     "seed=[": ["seed=["],
     "seed=99999999999": ["seed must be", "below 2^32", "99999999999"],

@@ -294,8 +294,8 @@ def test_unusable_mjcf(tmp_path, case):
 def test_missing_files_and_unknown_names(tmp_path, robot):
     with pytest.raises(RobotError, match=re.escape(str(tmp_path / "none.xml"))):
         Robot.from_mjcf(tmp_path / "none.xml")
-    with pytest.raises(RobotError, match=r"'quadruped'.*biped"):
-        Robot.from_mjcf("quadruped")
+    with pytest.raises(RobotError, match=r"'centipede'.*biped"):
+        Robot.from_mjcf("centipede")
     with pytest.raises(RobotError, match=r"biped\.xml has no body toe; its bodies are .*foot_left"):
         Robot.from_mjcf("biped", feet=["toe"])
     with pytest.raises(RobotError, match=r"biped\.xml has no joint 'toe'; it has hip_right"):

@@ -141,7 +141,8 @@ def lines_of(file):
 def package(file):
     """Where the keys of a file end up: below the name of its group, or of the command."""
     group = file.parent.name if file.parent != CONF else ""
-    return "" if file.stem == "config" or group == "experiment" else f"{group or file.stem}."
+    everywhere = file.stem == "config" or "@package _global_" in file.read_text(encoding="utf-8")
+    return "" if everywhere else f"{group or file.stem}."
 
 
 def test_every_key_has_a_comment():

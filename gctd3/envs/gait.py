@@ -164,16 +164,20 @@ class WalkingTask:
         )
         self._feet = robot.contact_sensors(robot.feet)
         self._others = robot.contact_sensors(robot.other_contact_bodies)
-        self._standing = {
-            name: value for name, (value, _) in robot.base.read(robot.standing_qpos, np.zeros(robot.model.nv)).items()
-        }
+        self._base, self._extra = robot.base, robot.base.extra
+        standing = self._base.read(robot.standing_qpos, np.zeros(robot.model.nv))
+        self._standing = {name: value for name, (value, _) in standing.items()}
 
     def measure(self, qpos: np.ndarray, qvel: np.ndarray, sensordata: np.ndarray) -> Measurement:
         """Read the simulator: ``qpos [*, nq]``, ``qvel [*, nv]``, ``sensordata [*, ns]``."""
-        read = self.robot.base.read(qpos, qvel)
+        read = self._base.read(qpos, qvel)
         place = {name: np.asarray(value - self._standing[name]) for name, (value, _) in read.items()}
-        extra = [np.stack([place[name], read[name][1]], axis=-1) for name in self.robot.base.extra]
-        upright = np.cos(place.get("roll", 0.0)) * np.cos(place.get("pitch", 0.0))
+        if self._extra:
+            base = np.stack([np.stack([place[name], read[name][1]], axis=-1) for name in self._extra], axis=-2)
+            upright = np.cos(place.get("roll", 0.0)) * np.cos(place.get("pitch", 0.0))
+            tilt = np.broadcast_to(np.arccos(np.clip(upright, -1.0, 1.0)), qpos.shape[:-1])
+        else:
+            base, tilt = np.zeros((*qpos.shape[:-1], 0, FEATURES)), np.zeros(qpos.shape[:-1])
         return Measurement(
             position=place["forward"],
             height=place["height"],
@@ -182,8 +186,8 @@ class WalkingTask:
             velocities=qvel[..., self._qvel],
             feet_down=sensordata[..., self._feet] > 0,
             other_down=np.asarray((sensordata[..., self._others] > 0).any(axis=-1)),
-            base=np.stack(extra, axis=-2) if extra else np.zeros((*qpos.shape[:-1], 0, FEATURES)),
-            tilt=np.broadcast_to(np.arccos(np.clip(upright, -1.0, 1.0)), qpos.shape[:-1]),
+            base=base,
+            tilt=tilt,
         )
 
     def node_features(self, now: Measurement) -> np.ndarray:
@@ -295,8 +299,8 @@ class WalkingTask:
         if w.tilt:
             terms["tilt"] = -w.tilt * now.tilt
         for name, weight in (("yaw", w.heading), ("side", w.off_line)):
-            if weight and name in self.robot.base.extra:
-                terms[name] = -weight * np.abs(now.base[..., self.robot.base.extra.index(name), 0])
+            if weight and name in self._extra:
+                terms[name] = -weight * np.abs(now.base[..., self._extra.index(name), 0])
 
         terminated = fell | long_contact | stuck_hip
         success = (now.position >= end.finish) & ~terminated

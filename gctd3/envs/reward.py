@@ -71,7 +71,7 @@ class Reward:
 
 @dataclass(frozen=True)
 class Endings:
-    """When an episode ends: ``finish`` and ``time_limit`` truncate it (its value is bootstrapped), the rest terminate it.
+    """When an episode ends; ``finish`` and ``time_limit`` truncate it (its value is bootstrapped), all else terminates.
 
     Attributes:
         fall_height: Body height below which the robot has fallen (m from standing).
@@ -88,7 +88,7 @@ class Endings:
     hip_steps: int | None = 50
     finish: float = 15.0
     time_limit: int = 1600
-    fall_tilt: float | None = None
+    fall_tilt: float | None = 0.8
 
     def __post_init__(self) -> None:
         _require_at_least(self, 1, "contact_steps", "hip_steps", "time_limit")
