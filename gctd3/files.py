@@ -5,6 +5,7 @@ Nothing here is pickled, so reading a file never runs what it holds.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -31,10 +32,18 @@ def save_tree(path: Path, tree: Any) -> str:  # noqa: ANN401 - any nesting
 
     Returns:
         The file's checksum.
+
+    Raises:
+        OSError: If it cannot be written.
     """
     tensors: dict[str, torch.Tensor] = {}
     structure = _pack(tree, "", tensors)
-    save_file(tensors, str(path), metadata={TREE: json.dumps(structure)})
+    try:
+        save_file(tensors, str(path), metadata={TREE: json.dumps(structure)})
+    except SafetensorError as error:
+        # It hides the number of the system's error in a text.
+        full = "No space left" in str(error)
+        raise OSError(errno.ENOSPC if full else errno.EIO, os.strerror(errno.ENOSPC) if full else str(error)) from error
     _flush(path)
     return checksum(path)
 

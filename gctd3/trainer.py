@@ -20,7 +20,8 @@ from tqdm import tqdm
 from gctd3.checkpoint import FOLDER, STATE, Checkpoints, fit
 from gctd3.collector import InlineCollector
 from gctd3.device import pick_device
-from gctd3.envs.factory import build_env
+from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.envs.state import has_state
 from gctd3.errors import NumericalError, RunError
 from gctd3.evaluate import evaluate
 from gctd3.exploration import Explorer
@@ -87,7 +88,8 @@ class Trainer:
         self.replay = Replay(settings.replay, settings.algo.gamma, env.history, mirror, self.device)
         training_env = build_env(self.robot, env, settings.reward, settings.seed)
         self.collector = InlineCollector(training_env, self.explorer, settings.steps)
-        judged = env.judging(settings.evaluation.episodes)
+        threads = env.threads if isinstance(env, EnvSettings) else None
+        judged = env.judging(settings.evaluation.episodes, threads)
         self.evaluation_env = build_env(self.robot, judged, settings.evaluation.reward, settings.evaluation.seed)
         graph = settings.architecture().graph
         said = {"graph": {"nodes": graph.nodes, "edges": graph.edges}, **(about or {})}
@@ -191,7 +193,9 @@ class Trainer:
     # What is kept, and going on from it.
 
     def save(self) -> None:
-        """Write a checkpoint."""
+        """Write a checkpoint, unless the simulator's state cannot be read: then the run cannot be continued either."""
+        if not has_state(self.collector.env):
+            return
         began = time.monotonic()
         self.checkpoints.save(self.counters.frames, self.state_dict(), self.replay.buffer)
         cost = time.monotonic() - began
@@ -204,8 +208,10 @@ class Trainer:
             Whether there was one; without, the training starts from its beginning.
 
         Raises:
-            RunError: If all are damaged, or do not fit the settings.
+            RunError: If all are damaged or do not fit the settings, or the task is another library's.
         """
+        if not has_state(self.collector.env):
+            raise RunError(f"{self.directory} cannot be continued: the state of its task's simulator cannot be saved.")
         found = self.checkpoints.newest()
         if found is None:
             self.checkpoints.forget_after(-1)

@@ -1,12 +1,13 @@
 """What the commands say when what they are told is wrong: one message that names it, exit code 2, nothing done."""
 
-import json
 import re
 import shutil
 from pathlib import Path
 
 import pytest
 from running import command, process, tiny, train
+
+from gctd3.files import read_manifest, write_manifest
 
 
 @pytest.fixture(autouse=True)
@@ -114,9 +115,13 @@ def broken(run, tmp_path):
 
 def of_another_version(run):
     for manifest in run.glob("checkpoints/*/manifest.json"):
-        content = json.loads(manifest.read_text())
-        content["metadata"]["format"] = 99
-        manifest.write_text(json.dumps(content))
+        write_manifest(manifest.parent, {**read_manifest(manifest.parent), "format": 99})
+
+
+def flip(file):
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
 
 
 def rewrite(file, old, new):
@@ -130,9 +135,11 @@ BREAK = {
     "no config": (lambda run: (run / CONFIG).unlink(), "config.yaml"),
     "not YAML": (lambda run: (run / CONFIG).write_text("a: [1"), "config.yaml"),
     "another key": (lambda run: rewrite(run / CONFIG, "keep_checkpoints:", "colour:"), "'colour'"),
-    "another network": (lambda run: rewrite(run / CONFIG, "norm: layer", "norm: none"), "checkpoint-"),
-    "no checkpoint": (lambda run: shutil.rmtree(run / "checkpoints"), "No checkpoint"),
-    "no tensors": (lambda run: [f.unlink() for f in run.glob("checkpoints/*/components/*/state/*")], "checkpoint-"),
+    "another network": (lambda run: rewrite(run / CONFIG, "norm: layer", "norm: none"), "best-"),
+    "no checkpoint": (lambda run: shutil.rmtree(run / "checkpoints"), "No policy"),
+    "no tensors": (lambda run: [f.unlink() for f in run.glob("checkpoints/best-*/*.safetensors")], "best-"),
+    "a flipped bit": (lambda run: [flip(f) for f in run.glob("checkpoints/best-*/*.safetensors")], "checksum"),
+    "an old format": (lambda run: (run / "checkpoints" / "checkpoint-000000000240").mkdir(), "format 1"),
     "another version": (of_another_version, "format 99"),
 }
 

@@ -87,13 +87,14 @@ class _TaskKeys(Transform):
     """What the walking task tells besides the nodes: the way forward (m); success and counters, of which is none."""
 
     def __init__(self, env: EnvBase, sensor: NodeSensor) -> None:
-        super().__init__(in_keys=[], out_keys=["position", "success", "counters"])
+        super().__init__(in_keys=[], out_keys=["position", "success", "diverged", "counters"])
         self.__dict__["_sensor"], self.__dict__["_env"] = sensor, env
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         _, data = simulator(self._env)
         next_tensordict.set("position", torch.tensor([self._sensor.position(data)], dtype=torch.float32))
         next_tensordict.set("success", torch.zeros(1, dtype=torch.bool))
+        next_tensordict.set("diverged", torch.zeros(1, dtype=torch.bool))
         return next_tensordict.set("counters", torch.zeros(0))
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
@@ -102,6 +103,7 @@ class _TaskKeys(Transform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         observation_spec["position"] = Unbounded((1,))
         observation_spec["success"] = Binary(1, shape=(1,), dtype=torch.bool)
+        observation_spec["diverged"] = Binary(1, shape=(1,), dtype=torch.bool)
         observation_spec["counters"] = Unbounded((0,))
         return observation_spec
 
@@ -110,15 +112,15 @@ def build_library_env(settings: LibrarySettings, seed: int) -> EnvBase:
     """Robots of a library's task, with the keys of :func:`gctd3.envs.factory.build_env`.
 
     Returns:
-        An environment of batch size ``[num_envs]``; ``position`` is the way forward from the origin (m), ``success`` is
-        never true and ``counters`` is empty.
+        An environment of batch size ``[num_envs]``; ``position`` is the way forward from the origin (m), ``counters``
+        is empty, ``success`` and ``diverged`` are never true.
     """
 
     def one(index: int) -> EnvBase:
         env = settings.make()
         noded = with_nodes(env)
         noded.append_transform(_TaskKeys(env, noded.transform[0].sensor))
-        noded.append_transform(SelectTransform("nodes", "position", "success", "counters"))
+        noded.append_transform(SelectTransform("nodes", "position", "success", "diverged", "counters"))
         noded.set_seed(seed + index)
         return noded
 

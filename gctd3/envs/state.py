@@ -10,11 +10,19 @@ from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 from gctd3.envs.batched import BatchedEnv
 
 
+def has_state(env: EnvBase) -> bool:
+    """Whether :func:`env_state` can read it: the walking task can be, other libraries' tasks not."""
+    inner = env.base_env if isinstance(env, TransformedEnv) else env
+    if isinstance(inner, SerialEnv):
+        return all(hasattr(wrapper._env, "load_state_dict") for wrapper in inner._envs)
+    return isinstance(inner, BatchedEnv)
+
+
 def env_state(env: EnvBase) -> dict[str, Any]:
-    """State of an environment of :func:`gctd3.envs.factory.build_env`; tensors are copies.
+    """State of an environment of :func:`gctd3.envs.factory.build_env` on the walking task; tensors are copies.
 
     Raises:
-        TypeError: If it is none of the library's.
+        TypeError: If its state cannot be read.
     """
     if isinstance(env, TransformedEnv):
         buffers = {
@@ -43,6 +51,6 @@ def load_env_state(env: EnvBase, state: dict[str, Any]) -> None:
 
 
 def _dm_control(env: EnvBase) -> list[Any]:
-    if not isinstance(env, SerialEnv):
-        raise TypeError(f"The state of a {type(env).__name__} cannot be read; expected one of build_env.")
+    if not has_state(env):
+        raise TypeError(f"The state of a {type(env).__name__} cannot be read; expected the walking task.")
     return [wrapper._env for wrapper in env._envs]
