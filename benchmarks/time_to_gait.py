@@ -114,7 +114,7 @@ def plan(given: dict[str, str]) -> tuple[list[Run], list[str]]:
     if unknown:
         raise SystemExit(f"no contender {', '.join(unknown)}; there are {', '.join((*OURS, *PACKAGES))}")
     missing = [f"{n}: {PACKAGES[n]} is not installed" for n in contenders if n in PACKAGES and not installed(n)]
-    seeds = {n: given["our_seeds"] if n in OURS and given["our_seeds"] else given["seeds"] for n in contenders}
+    seeds = {n: given["our_seeds"] if n == "gctd3" and given["our_seeds"] else given["seeds"] for n in contenders}
     runs = [Run(n, int(seed)) for n in contenders if n in OURS or installed(n) for seed in seeds[n].split(",")]
     turns = {id(run): [other.contender for other in runs[:i]].count(run.contender) for i, run in enumerate(runs)}
     return sorted(runs, key=lambda run: turns[id(run)]), missing
