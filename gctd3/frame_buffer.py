@@ -206,7 +206,8 @@ class FrameBuffer:
             return self._ring["nodes"].new_zeros((len(place), *self._ring["nodes"].shape[2:-1], 0))
         back = torch.arange(frames - 1, -1, -1, device=self.device).minimum(self._at("age", place).long()[:, None])
         places = (place[:, None] - back * self.robots) % (self.rows * self.robots)
-        stack = self._at("nodes", places.reshape(-1)).unflatten(0, places.shape)
+        stack = self._at("nodes", places.reshape(-1))
+        stack = stack.reshape(*places.shape, *stack.shape[1:])
         return stack.movedim(1, -2).flatten(-2)
 
     def _last_at(self, key: str, place: Tensor) -> Tensor:

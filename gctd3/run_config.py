@@ -123,7 +123,7 @@ def _harmless(key: str) -> bool:
 def _flat(config: DictConfig, prefix: str = "") -> dict[str, object]:
     """Values by their dotted path; lists count as values."""
     found: dict[str, object] = {}
-    for key in config:
+    for key in map(str, config):
         node = config._get_node(key)
         if isinstance(node, DictConfig) and not node._is_none():
             found |= _flat(node, f"{prefix}{key}.")

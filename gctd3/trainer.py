@@ -236,7 +236,7 @@ class Trainer:
             "collector": self.collector.state_dict(),
             "random": {
                 "python": random.getstate(),
-                "numpy": [item.tolist() if isinstance(item, np.ndarray) else item for item in np.random.get_state()],
+                "numpy": np.random.get_state(),
                 "torch": torch.get_rng_state(),
                 "cuda": cuda,
             },
@@ -253,8 +253,7 @@ class Trainer:
         generators = state["random"]
         version, words, gauss = generators["python"]
         random.setstate((version, tuple(words), gauss))
-        name, keys, *rest = generators["numpy"]
-        np.random.set_state((name, np.array(keys, dtype=np.uint32), *rest))
+        np.random.set_state(tuple(generators["numpy"]))
         torch.set_rng_state(generators["torch"])
         if self.device.type == "cuda" and generators["cuda"]:
             torch.cuda.set_rng_state_all(generators["cuda"])

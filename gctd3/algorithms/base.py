@@ -168,7 +168,7 @@ def _in_a_step(compiled: Callable[..., Any]) -> Callable[..., Any]:
     """A function on CUDA graphs, whose results would be overwritten by its next call, with results of its own."""
 
     def call(*args: Any) -> Any:  # noqa: ANN401
-        torch.compiler.cudagraph_mark_step_begin()
+        torch.compiler.cudagraph_mark_step_begin()  # type: ignore[no-untyped-call]
         return torch.utils._pytree.tree_map(torch.clone, compiled(*args))
 
     return call

@@ -23,7 +23,7 @@ class _StackedLinear(torch.autograd.Function):
         return torch.baddbmm(bias.unsqueeze(-2), x.expand(len(weight), *x.shape[-2:]), weight.mT)
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
+    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401 - PyTorch's
         x, weight = ctx.saved_tensors
         for_x = for_weight = for_bias = None
@@ -45,7 +45,8 @@ def stacked_linear(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
     """
     if bias is None:
         return x @ weight.mT
-    return _StackedLinear.apply(x, weight, bias)
+    out: Tensor = _StackedLinear.apply(x, weight, bias)  # type: ignore[no-untyped-call]
+    return out
 
 
 class Linear(nn.Linear):

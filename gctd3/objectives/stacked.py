@@ -77,10 +77,10 @@ class FusedSoftUpdate(SoftUpdate):
     def step(self) -> None:
         """Move the targets towards the trained parameters."""
         if "_lists" not in self.__dict__:
-            pairs = [(t.data, s.data) for t, s in zip(_leaves(self._targets), _leaves(self._sources), strict=True)]
-            self.__dict__["_lists"] = tuple(map(list, zip(*pairs, strict=True)))
-        torch._foreach_lerp_(*self.__dict__["_lists"], 1.0 - self.eps)
+            self.__dict__["_lists"] = (_leaves(self._targets), _leaves(self._sources))
+        targets, sources = self.__dict__["_lists"]
+        torch._foreach_lerp_(targets, sources, 1.0 - self.eps)
 
 
 def _leaves(tensordict: TensorDictBase) -> list[Tensor]:
-    return [value for _, value in sorted(tensordict.flatten_keys(".").items())]
+    return [value.data for _, value in sorted(tensordict.flatten_keys(".").items())]
