@@ -64,8 +64,9 @@ def main() -> None:
     """Entry point of ``python -m gctd3.train``."""
     resumed = [argument.split("=", 1)[1] for argument in sys.argv[1:] if argument.startswith("resume=")]
     if resumed and resumed[-1] not in ("null", ""):
-        # Hydra's own directory is the run's, so that nothing is written elsewhere.
-        sys.argv.append(f"hydra.run.dir={resumed[-1]}")
+        # Hydra's own directory is the run's, so that nothing is written elsewhere; nor made if there is no run.
+        there = (Path(resumed[-1]) / CONFIG).is_file()
+        sys.argv.append(f"hydra.run.dir='{resumed[-1] if there else '.'}'")
     command("config", train)
 
 

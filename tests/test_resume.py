@@ -146,7 +146,7 @@ def test_no_run_to_resume(tmp_path, capsys, missing):
         (tmp_path / "run").mkdir()
     assert command("train", f"resume={tmp_path / 'run'}") == 2
     assert "there is no run to continue" in capsys.readouterr().err
-    assert not (tmp_path / "run").exists() or not any((tmp_path / "run").iterdir())
+    assert [path.name for path in tmp_path.rglob("*")] == (["run"] if missing else [])
 
 
 def test_a_damaged_checkpoint_is_passed_over(tmp_path, capsys):
