@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from gctd3.cli import command
@@ -19,9 +20,12 @@ def train(config: DictConfig) -> None:
     """Check the configuration, train, say what was reached."""
     resumed, overrides = config.resume is not None, list(HydraConfig.get().overrides.task)
     run = Path(str(config.resume)) if resumed else Path(HydraConfig.get().runtime.output_dir)
+    # A sweep into the directory of an earlier one goes on where that one stopped.
+    sweeping = HydraConfig.get().mode is RunMode.MULTIRUN
+    if resumed and not (run / CONFIG).is_file():
+        raise RunError(f"resume={run}: there is no run to continue; a run has a {CONFIG}.")
+    resumed = resumed or (sweeping and (run / CONFIG).is_file())
     if resumed:
-        if not (run / CONFIG).is_file():
-            raise RunError(f"resume={run}: there is no run to continue; a run has a {CONFIG}.")
         config, overrides = changed(run, "config", overrides)
     settings = build(config)
     # Imported late, so that --help and a wrong setting are answered at once.
@@ -37,7 +41,9 @@ def train(config: DictConfig) -> None:
         save_config(run, config, overrides)
         print(OmegaConf.to_yaml(config))
         print(f"Run directory: {run}\n", flush=True)
-        if trainer.finished:
+        if trainer.finished and sweeping:
+            print("It is finished already.")
+        elif trainer.finished:
             raise RunError(
                 f"{run} is finished after {trainer.counters.frames:,} steps. To train on, raise total_frames, and "
                 "stop_when.evaluations or stop_when.evaluations=null if its conditions ended it."

@@ -170,6 +170,23 @@ def test_a_damaged_checkpoint_is_passed_over(tmp_path, capsys):
     assert before.name < newest.name
 
 
+def test_a_sweep_goes_on_where_it_stopped(tmp_path):
+    whole = {seed: train(tmp_path / f"whole{seed}", f"seed={seed}") for seed in (0, 1)}
+    settings = [f"{key}={value}" for key, value in TINY.items()]
+    sweep = ["-m", *settings, "seed=0,1", f"hydra.sweep.dir={tmp_path / 'sweep'}", "hydra.sweep.subdir=${seed}"]
+
+    class Stopped(Recorded):
+        def run(self, stop=None):
+            return super().run(StopAfter(self, 128) if self.settings.seed else None)
+
+    assert command("train", *sweep, trainer=Stopped) == 0
+    finished = (tmp_path / "sweep" / "0" / "progress.csv").read_text()
+    assert command("train", *sweep) == 0
+    assert (tmp_path / "sweep" / "0" / "progress.csv").read_text() == finished
+    for seed, run in whole.items():
+        assert_same_run(run, tmp_path / "sweep" / str(seed))
+
+
 def start(run, *overrides):
     arguments = [*tiny(run, *overrides)] if not run.exists() else [f"resume={run}"]
     module = [sys.executable, "-m", "gctd3.train", *arguments]
