@@ -28,6 +28,8 @@ class ExplorationSettings:
         noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions, spread
             geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for a policy that
             is random by itself.
+        noise_time: Correlation time (s) of the noise of every second robot, an Ornstein-Uhlenbeck process (Lillicrap et
+            al. 2016, arXiv:1509.02971) of the same standard deviation; 0 for white noise as on the others.
     """
 
     warmup: Literal["rhythmic", "uniform"] = "rhythmic"
@@ -35,6 +37,7 @@ class ExplorationSettings:
     hold: int = 5
     frequency: Sequence[float] = (1.2, 2.4)
     noise: Sequence[float] | None = (0.05, 0.5)
+    noise_time: float = 0.0
 
     def __post_init__(self) -> None:
         if self.warmup_frames < 0:
@@ -45,6 +48,8 @@ class ExplorationSettings:
             raise ConfigError(f"frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
         if self.noise is not None and (len(self.noise) != 2 or not 0 < self.noise[0] <= self.noise[1]):
             raise ConfigError(f"noise must be [smallest, largest] > 0 or null, got {list(self.noise)}.")
+        if self.noise_time < 0:
+            raise ConfigError(f"noise_time must be at least 0 s, got {self.noise_time}.")
 
 
 class Rhythm(torch.nn.Module):
@@ -129,6 +134,8 @@ class Explorer(TensorDictModuleBase):
     frames: Tensor
     sigma: Tensor
     held: Tensor
+    memory: Tensor
+    wander: Tensor
 
     def __init__(
         self,
@@ -155,6 +162,11 @@ class Explorer(TensorDictModuleBase):
         self.register_buffer("held", torch.zeros(num_robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
         self.register_buffer("sigma", torch.logspace(math.log10(low), math.log10(high), num_robots)[:, None])
+        memory = torch.zeros(num_robots, 1)
+        if settings.noise_time > 0:
+            memory[1::2] = math.exp(-control_dt / settings.noise_time)
+        self.register_buffer("memory", memory)
+        self.register_buffer("wander", torch.zeros(num_robots, robot.model.nu))
 
     @property
     def warming_up(self) -> bool:
@@ -173,9 +185,16 @@ class Explorer(TensorDictModuleBase):
             tensordict.set("action", self.actor(seen).get("action").to("cpu"))
             if self.settings.noise is not None:
                 action = tensordict.get("action")
-                tensordict.set("action", (action + self.sigma * torch.randn_like(action)).clamp(-1.0, 1.0))
+                noise = self.sigma * self._noise(tensordict.get("is_init").reshape(-1, 1))
+                tensordict.set("action", (action + noise).clamp(-1.0, 1.0))
         self.frames += robots
         return tensordict
+
+    def _noise(self, is_init: Tensor) -> Tensor:
+        """Of unit variance; what is remembered of the last step's ends with the episode."""
+        memory = self.memory * ~is_init
+        self.wander = memory * self.wander + (1 - memory**2).sqrt() * torch.randn_like(self.wander)
+        return self.wander
 
     def _warmup(self, is_init: Tensor) -> Tensor:
         if self.rhythm is not None:

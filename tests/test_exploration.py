@@ -157,6 +157,20 @@ def test_noise_is_spread_geometrically_over_the_robots(robot, actor):
     torch.testing.assert_close(actions.std(dim=(0, 2)), expected, rtol=0.04, atol=0.0)
 
 
+def test_the_noise_of_every_second_robot_wanders(robot, actor):
+    for parameter in actor.parameters():
+        torch.nn.init.zeros_(parameter)
+    explore = explorer(robot, actor, warmup_frames=0, noise=(0.1, 0.1), noise_time=0.1)
+    actions = torch.stack([step(explore) for _ in range(4000)])
+    torch.testing.assert_close(actions.std(dim=(0, 2)), torch.full((4,), 0.1), rtol=0.05, atol=0.0)
+    following = (actions[1:] * actions[:-1]).mean(dim=(0, 2)) / 0.01
+    # exp(-0.02 s / 0.1 s) from one step to the next; the other robots' is white.
+    torch.testing.assert_close(following, torch.tensor([0.0, 0.8187, 0.0, 0.8187]), rtol=0.0, atol=0.05)
+    last, first = actions[-1], step(explore, is_init=True)
+    assert abs(float((last * first)[1::2].mean()) / 0.01) < 1.5  # 12 products of independent noise
+    assert torch.equal(explore.wander * 0.1, first)
+
+
 def test_one_robot_gets_the_smallest_noise(robot, actor):
     torch.testing.assert_close(explorer(robot, actor, robots=1, noise=(0.1, 0.4)).sigma, torch.tensor([[0.1]]))
 
@@ -197,6 +211,7 @@ def test_it_is_the_live_actor_that_acts(robot, actor):
         ("frequency", (0.0, 1.0)),
         ("frequency", (2.0, 1.0)),
         ("frequency", (1.0,)),
+        ("noise_time", -0.1),
         ("noise", (0.0, 0.1)),
         ("noise", (0.2, 0.1)),
         ("noise", (0.1, 0.2, 0.3)),
