@@ -131,10 +131,11 @@ class Checkpoints:
         return found[-1]
 
     def forget_after(self, frames: int) -> None:
-        """Drop the best policy if it is of a later moment than ``frames``: continuing from there finds it again."""
-        for path in self.directory.glob("best-*"):
-            if int(path.name.removeprefix("best-")) > frames:
+        """Drop what is of a later moment than ``frames``, damaged or not: continuing from there makes it again."""
+        for path in (*self.directory.glob("step-*"), *self.directory.glob("best-*")):
+            if int(path.name.partition("-")[2]) > frames:
                 shutil.rmtree(path)
+        self._drop()
 
     def _manifest(self, frames: int, files: Mapping[str, str], **more: Any) -> dict[str, Any]:  # noqa: ANN401
         return {"format": FORMAT, "frames": frames, "versions": versions(), "files": dict(files), **self.about, **more}

@@ -163,6 +163,13 @@ def test_a_damaged_checkpoint_is_passed_over(tmp_path, capsys):
     assert "Passed over a checkpoint" in error
     assert str(state) in error
     assert_same_run(whole, part)
+    # A part of the replay that only the newest names is damaged: it must not live on in those after it.
+    again = stopped(tmp_path / "again", 160, "checkpoint_every=0.001")
+    newest_part = max((again / "checkpoints" / "replay").iterdir())
+    newest_part.write_bytes(newest_part.read_bytes()[:-1])
+    assert command("train", f"resume={again}") == 0
+    assert str(newest_part) in capsys.readouterr().err
+    assert_same_run(whole, again)
     for path in (part / "checkpoints").glob("step-*"):
         (path / "manifest.json").write_text("{")
     assert command("train", f"resume={part}") == 2
