@@ -14,12 +14,12 @@ from pathlib import Path
 import hydra
 from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
-from hydra.errors import HydraException, OverrideParseException
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from gctd3.errors import GCTD3Error
-from gctd3.settings import suggest
+from gctd3.errors import GCTD3Error, suggest
 
 CONF = "gctd3.conf"
 USAGE_ERROR = 2
@@ -80,9 +80,24 @@ def _guarded(task: Callable[[DictConfig], None], config: str) -> Callable[[DictC
         try:
             task(settings)
         except _USER_ERRORS as error:
+            _remove_empty(Path(HydraConfig.get().runtime.output_dir))
             _fail(explain(error, config))
+        except RuntimeError as error:
+            # PyTorch's way to say that memory is short.
+            if "alloc" not in str(error) and "out of memory" not in str(error):
+                raise
+            _fail(explain(MemoryError(str(error).splitlines()[0]), config))
 
     return guarded
+
+
+def _remove_empty(directory: Path) -> None:
+    """Take back the directory that Hydra makes for every run, and those above it here, as far as nothing is in them."""
+    while directory != Path.cwd() and directory.is_dir() and not any(directory.iterdir()):
+        directory.rmdir()
+        directory = directory.parent
+        if Path.cwd() not in directory.parents:
+            return
 
 
 def explain(error: Exception, config: str) -> str:
@@ -91,6 +106,11 @@ def explain(error: Exception, config: str) -> str:
         return str(error)
     if isinstance(error, MemoryError):
         return f"Not enough memory ({error}): lower replay.capacity, env.num_envs or the number of episodes."
+    # Hydra's counts as an OSError.
+    if isinstance(error, MissingConfigException) and error.options:
+        group, _, option = str(error.missing_cfg_file).rpartition("/")
+        nearest, options = suggest(option, error.options), ", ".join(error.options)
+        return f"Could not find '{group}/{option}'.{nearest} Options of {group}: {options}."
     if isinstance(error, OSError):
         return f"{error.strerror}: {error.filename}" if error.filename else str(error)
     if isinstance(error, OverrideParseException):

@@ -29,17 +29,20 @@ class InlineCollector:
     def __init__(self, env: EnvBase, policy: TensorDictModuleBase, steps: int) -> None:
         self.env, self.policy, self.steps = env, policy, steps
         self._state: TensorDictBase = env.reset()
+        self.latest: TensorDictBase = self._state  # what it was at work on, should that fail
 
     def collect(self) -> TensorDictBase:
         """The next steps, batch size ``[N, T]``.
 
         Raises:
-            NumericalError: If the policy's action is not finite.
+            NumericalError: If what the policy sees or its action is not finite.
         """
         taken = []
         with torch.no_grad():
             for _ in range(self.steps):
-                acting = self.policy(self._state)
+                self.latest = self._state
+                check_finite("nodes", self._state.get("nodes"))
+                acting = self.latest = self.policy(self._state)
                 check_finite("action", acting.get("action"))
                 step, self._state = self.env.step_and_maybe_reset(acting)
                 taken.append(step)

@@ -18,6 +18,13 @@ def check_device(name: str) -> None:
         raise ConfigError(f"device must be cpu, cuda, or cuda:0 and so on, got {name!r}.")
 
 
+def check_index(name: str) -> None:
+    """Raise a :class:`ConfigError` if there are GPUs here but not the one of that name."""
+    index = int(name.partition(":")[2] or 0)
+    if name != "cpu" and torch.cuda.is_available() and index >= torch.cuda.device_count():
+        raise ConfigError(f"device={name}: there are {torch.cuda.device_count()} GPUs, counted from cuda:0.")
+
+
 def pick_device(name: str) -> torch.device:
     """The device of that name, or the CPU, after a line on stderr that says why, if there is no GPU.
 
@@ -31,7 +38,5 @@ def pick_device(name: str) -> torch.device:
         build = "this PyTorch is a CPU build" if torch.version.cuda is None else "PyTorch finds no usable GPU or driver"
         print(f"device={name}: {build}; running on the CPU instead.", file=sys.stderr)
         return torch.device("cpu")
-    device = torch.device(name)
-    if (device.index or 0) >= torch.cuda.device_count():
-        raise ConfigError(f"device={name}: there are {torch.cuda.device_count()} GPUs, counted from cuda:0.")
-    return device
+    check_index(name)
+    return torch.device(name)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class GCTD3Error(Exception):
     """Base of the library's errors."""
@@ -25,6 +28,22 @@ class NumericalError(GCTD3Error, ArithmeticError):
 
 class RenderError(GCTD3Error, RuntimeError):
     """Nothing can be drawn here."""
+
+
+def suggest(key: object, known: Iterable[str]) -> str:
+    """``" Did you mean ...?"`` if something like ``key`` is known, else nothing."""
+    close = difflib.get_close_matches(str(key), list(known), n=1)
+    return f" Did you mean {close[0]!r}?" if close else ""
+
+
+def check_between(settings: object, least: float, most: float, *names: str) -> None:
+    """Raise a :class:`ConfigError` unless each attribute of ``names`` is ``None`` or in ``[least, most]``."""
+    for name in names:
+        value = getattr(settings, name)
+        if value is not None and not value >= least:
+            raise ConfigError(f"{name} must be at least {least:,}, got {value}.")
+        if value is not None and not value <= most:
+            raise ConfigError(f"{name} must be at most {most:,}, got {value}.")
 
 
 def check_seed(name: str, seed: int) -> None:

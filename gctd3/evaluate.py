@@ -21,6 +21,7 @@ from gctd3.envs.gait import FEATURES
 from gctd3.envs.library import LibrarySettings
 from gctd3.envs.reward import Reward
 from gctd3.errors import ConfigError, check_seed
+from gctd3.faults import check_finite
 from gctd3.graph import KinematicGraph
 from gctd3.nodes import foot_slots
 from gctd3.robot import Robot
@@ -122,6 +123,9 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int
         robot: Its robot.
         seed: Of the starts: equal seeds, equal starts.
         control_dt: Control period (s).
+
+    Raises:
+        NumericalError: If an action of the policy is not finite.
     """
     names = KinematicGraph.from_robot(robot).nodes
     ground, feature = foot_slots(robot).T
@@ -134,7 +138,9 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int
         env.set_seed(seed)
         state = env.reset()
         while alive.any():
-            state = env.step(policy(state))
+            acting = policy(state)
+            check_finite("action", acting["action"])
+            state = env.step(acting)
             after = state["next"]
             newest = after["nodes"][..., -FEATURES:]
             frames.append((alive, after["reward"][:, 0], after["position"][:, 0], newest, after["success"][:, 0]))

@@ -46,8 +46,9 @@ class ExplorationSettings:
             raise ConfigError(f"hold must be at least 1, got {self.hold}.")
         if len(self.frequency) != 2 or not 0 < self.frequency[0] <= self.frequency[1]:
             raise ConfigError(f"frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
-        if self.noise is not None and (len(self.noise) != 2 or not 0 < self.noise[0] <= self.noise[1]):
-            raise ConfigError(f"noise must be [smallest, largest] > 0 or null, got {list(self.noise)}.")
+        # Actions are clipped to [-1, 1]: noise beyond that is no longer noise on an action.
+        if self.noise is not None and (len(self.noise) != 2 or not 0 < self.noise[0] <= self.noise[1] <= 10):
+            raise ConfigError(f"noise must be [smallest, largest] > 0 and <= 10, or null, got {list(self.noise)}.")
         if self.noise_time < 0:
             raise ConfigError(f"noise_time must be at least 0 s, got {self.noise_time}.")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from gctd3.errors import RobotError
+from gctd3.errors import RobotError, suggest
 from gctd3.mjcf import bodies_below, body_name, colliding_geoms, leaf_bodies, standing_pose
 from gctd3.shapes import lowest_point
 
@@ -27,7 +27,7 @@ def named_feet(model: mujoco.MjModel, root: int, names: Sequence[str], file: Pat
     for name in names:
         body = bodies.get(name, geoms.get(name))
         if body is None or body not in bodies.values():
-            raise RobotError(f"{file} has no body {name}; its bodies are {', '.join(bodies)}.")
+            raise RobotError(f"{file} has no body {name!r}.{suggest(name, bodies)} Its bodies are {', '.join(bodies)}.")
         feet.append(body_name(model, body))
     if not feet:
         raise RobotError(f"{file}: feet must name at least one body, got none.")

@@ -11,7 +11,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from gctd3.errors import RobotError
+from gctd3.errors import RobotError, suggest
 
 Kind = Literal["hinge", "slide", "ball", "free"]
 _KINDS: dict[int, Kind] = {
@@ -61,7 +61,10 @@ def find_mjcf(path: str | Path) -> Path:
     models = Path(str(resources.files("gctd3.models")))
     shipped = sorted(p.parent.name for p in models.glob("*/*.xml") if p.stem == p.parent.name)
     if str(path) not in shipped:
-        raise RobotError(f"No robot {str(path)!r}: give a path to an .xml file, or one of {', '.join(shipped)}.")
+        raise RobotError(
+            f"No robot {str(path)!r}.{suggest(path, shipped)} "
+            f"Give a path to an .xml file, or one of {', '.join(shipped)}."
+        )
     return models / str(path) / f"{path}.xml"
 
 

@@ -14,7 +14,7 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs.transforms import MultiStepTransform, Transform
 
 from gctd3.envs.gait import FEATURES
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, check_between
 from gctd3.frame_buffer import FrameBuffer
 from gctd3.reflection import Reflection
 from gctd3.robot import Robot
@@ -43,9 +43,9 @@ class ReplaySettings:
     storage: Literal["frames", "stacked"] = "frames"
 
     def __post_init__(self) -> None:
-        for name in ("capacity", "batch_size", "n_step"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        check_between(self, 1, 10**12, "capacity")
+        check_between(self, 1, 10**6, "batch_size")
+        check_between(self, 1, 1000, "n_step")
         if self.batch_size > self.capacity:
             raise ConfigError(f"batch_size must be at most capacity, got {self.batch_size} and {self.capacity}.")
 

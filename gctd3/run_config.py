@@ -27,6 +27,7 @@ HARMLESS = (
     "total_episodes",
     "threads",
     "env.threads",
+    "env.check",
     "device",
     "keep_checkpoints",
     "checkpoint_every",

@@ -7,12 +7,11 @@ their values of the annotated types. The dataclasses check ranges themselves.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import inspect
 import math
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from hydra.errors import HydraException
@@ -20,7 +19,7 @@ from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, suggest
 
 
 def build(config: DictConfig | Mapping[str, Any]) -> Any:  # noqa: ANN401 - whatever the target returns
@@ -63,7 +62,8 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
         if key not in parameters:
             raise ConfigError(f"Unknown key {full!r}.{suggest(key, parameters)} Accepted: {', '.join(parameters)}.")
         if key in hints and not _fits(value, hints[key]):
-            raise ConfigError(f"{full} must be {_describe(hints[key])}, got {value!r}.")
+            hint = suggest(value, _options(hints[key])) if isinstance(value, str) else ""
+            raise ConfigError(f"{full} must be {_describe(hints[key])}, got {value!r}.{hint}")
     missing = [n for n, p in parameters.items() if p.default is inspect.Parameter.empty and n not in arguments]
     if missing:
         raise ConfigError(f"{where} lacks {', '.join(missing)}.")
@@ -76,12 +76,6 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
     except ConfigError as error:
         # Targets name their own fields; the path to them is known here.
         raise ConfigError(f"{path}.{error}".lstrip(".")) from error
-
-
-def suggest(key: str, known: Iterable[str]) -> str:
-    """``" Did you mean ...?"`` if something like ``key`` is known, else nothing."""
-    close = difflib.get_close_matches(key, list(known), n=1)
-    return f" Did you mean {close[0]!r}?" if close else ""
 
 
 def _hints(function: Callable[..., Any]) -> dict[str, Any]:
@@ -103,7 +97,7 @@ def _fits(value: Any, hint: Any) -> bool:  # noqa: ANN401
     if hint in (None, type(None)):
         return value is None
     if hint is float:
-        return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and _finite(value)
     if hint is int:
         return isinstance(value, int) and not isinstance(value, bool)
     if origin is not None and issubclass(origin, Mapping):
@@ -111,6 +105,21 @@ def _fits(value: Any, hint: Any) -> bool:  # noqa: ANN401
     if origin is not None and issubclass(origin, Sequence):
         return isinstance(value, (list, tuple)) and all(_fits(v, inner[0]) for v in value)
     return isinstance(value, origin or hint)
+
+
+def _finite(value: float) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number beyond every float
+        return False
+
+
+def _options(hint: Any) -> list[str]:  # noqa: ANN401
+    """What a setting may be, if it is one of some texts."""
+    inner = typing.get_args(hint)
+    if typing.get_origin(hint) is typing.Literal:
+        return [option for option in inner if isinstance(option, str)]
+    return [option for part in inner for option in _options(part)]
 
 
 def _describe(hint: Any) -> str:  # noqa: ANN401

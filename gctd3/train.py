@@ -28,6 +28,7 @@ def train(config: DictConfig) -> None:
     if resumed:
         config, overrides = changed(run, "config", overrides)
     settings = build(config)
+    settings.check_here()
     # Imported late, so that --help and a wrong setting are answered at once.
     from gctd3.trainer import Trainer, refuse_a_run
 

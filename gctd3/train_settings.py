@@ -10,17 +10,18 @@ from typing import Literal
 import torch
 
 from gctd3.algorithms.base import AlgorithmSettings, Architecture
-from gctd3.device import check_device
-from gctd3.envs.factory import EnvSettings
+from gctd3.device import check_device, check_index
+from gctd3.envs.factory import MOST_THREADS, EnvSettings
 from gctd3.envs.gait import FEATURES, WalkingTask
-from gctd3.envs.library import LibrarySettings
+from gctd3.envs.library import MOST_ROBOTS, LibrarySettings
 from gctd3.envs.reward import Reward
-from gctd3.errors import ConfigError, check_seed
-from gctd3.exploration import ExplorationSettings
+from gctd3.envs.simulation import substeps_of
+from gctd3.errors import ConfigError, check_between, check_seed, suggest
+from gctd3.exploration import ExplorationSettings, Explorer
 from gctd3.graph import KinematicGraph
 from gctd3.nn import Network
 from gctd3.reflection import Reflection
-from gctd3.replay import ReplaySettings
+from gctd3.replay import Mirror, ReplaySettings
 from gctd3.robot import Robot
 
 # Of progress.csv.
@@ -75,7 +76,7 @@ class EvaluationSettings:
     """How training judges its policy.
 
     Attributes:
-        every: Frames between evaluations.
+        every: Frames between evaluations; there is one at the end in any case, so it may exceed the training.
         episodes: Episodes of each.
         seed: Of their starts: the same in every evaluation, and not the training's.
         reward: Under which they are judged.
@@ -87,9 +88,8 @@ class EvaluationSettings:
     seed: int = 1_000
 
     def __post_init__(self) -> None:
-        for name in ("every", "episodes"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        check_between(self, 1, math.inf, "every")
+        check_between(self, 1, MOST_ROBOTS, "episodes")
         check_seed("seed", self.seed)
 
 
@@ -111,7 +111,8 @@ class StopWhen:
         unknown = [name for name in (*self.at_least, *self.at_most) if name not in COLUMNS]
         if unknown:
             raise ConfigError(
-                f"at_least and at_most know no metric {', '.join(unknown)}; there are {', '.join(COLUMNS)}."
+                f"at_least and at_most know no metric {unknown[0]!r}.{suggest(unknown[0], COLUMNS)} "
+                f"Accepted: {', '.join(COLUMNS)}."
             )
         if self.evaluations is not None and self.evaluations < 1:
             raise ConfigError(f"evaluations must be at least 1, or null, got {self.evaluations}.")
@@ -180,9 +181,8 @@ class TrainSettings:
     resume: str | None = None
 
     def __post_init__(self) -> None:
-        for name in ("total_frames", "steps", "updates", "keep_checkpoints"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        check_between(self, 1, 10**12, "total_frames", "updates", "keep_checkpoints")
+        check_between(self, 1, 100_000, "steps")
         if self.total_episodes is not None and self.total_episodes < 1:
             raise ConfigError(f"total_episodes must be at least 1, or null, got {self.total_episodes}.")
         if not self.checkpoint_every > 0:
@@ -191,20 +191,57 @@ class TrainSettings:
         check_device(self.device)
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, or null, got {self.threads}.")
+        check_between(self, 1, MOST_THREADS, "threads")
+        self._check_frames()
+
+    def _check_frames(self) -> None:
+        """What the numbers of frames ask of one another."""
         frames = self.env.num_envs * self.steps
         if self.total_frames < frames:
             raise ConfigError(
                 f"total_frames must be at least env.num_envs * steps = {frames}, got {self.total_frames}."
             )
+        if self.exploration.warmup_frames > self.total_frames:
+            raise ConfigError(
+                f"exploration.warmup_frames must be at most total_frames = {self.total_frames}, got "
+                f"{self.exploration.warmup_frames}: the training would end before it learns."
+            )
+        # The newest n_step of a robot cannot be drawn yet, the oldest history - 1 no longer.
         least = self.env.num_envs * (self.env.history + self.replay.n_step)
         if self.replay.storage == "frames" and self.replay.capacity < least:
             raise ConfigError(
                 f"replay.capacity must be at least env.num_envs * (env.history + replay.n_step) = {least}, "
                 f"got {self.replay.capacity}."
             )
-
+        drawn = self.replay.capacity // self.env.num_envs - self.replay.n_step - self.env.history + 1
+        if self.replay.storage == "frames" and drawn * self.env.num_envs < self.replay.batch_size:
+            raise ConfigError(
+                f"replay.capacity must hold a batch: of {self.replay.capacity} of {self.env.num_envs} robots "
+                f"{drawn * self.env.num_envs} can be drawn, replay.batch_size is {self.replay.batch_size}."
+            )
         if self.replay.mirror and isinstance(self.env, LibrarySettings):
             raise ConfigError("replay.mirror must be false for a library's task, got true: use replay=plain.")
+
+    def check_here(self) -> None:
+        """Check all that only the robot and this machine can tell, before anything is begun.
+
+        Raises:
+            RobotError: If it cannot be used.
+            ConfigError: If a setting does not fit it.
+        """
+        check_index(self.device)
+        robot, env, exploration = self.load_robot(), self.env, self.exploration
+        if isinstance(env, EnvSettings):
+            WalkingTask(robot, self.reward, env.endings, env.control_dt)
+            substeps_of(env.control_dt, robot.model)
+        if exploration.warmup == "rhythmic" and exploration.frequency[1] > 0.5 / env.control_dt:
+            raise ConfigError(
+                f"exploration.frequency must be at most half a cycle a control step, {0.5 / env.control_dt:g} Hz, "
+                f"got {list(exploration.frequency)}."
+            )
+        Explorer(self.algo.build(self.architecture()).actor, robot, 1, exploration, env.control_dt)
+        if self.replay.mirror:
+            Mirror(robot, env.history)
 
     def load_robot(self) -> Robot:
         """The robot.

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl import torchrl_logger
 from tqdm import tqdm
 
@@ -124,16 +125,8 @@ class Trainer:
             RunError: If a checkpoint cannot be written.
         """
         self._clock = time.monotonic()
-        bar = tqdm(
-            total=self.settings.total_frames,
-            initial=self.counters.frames,
-            unit=" steps",
-            unit_scale=True,
-            smoothing=0.05,
-            mininterval=0.5,
-            dynamic_ncols=True,
-        )
-        with bar:
+        shown = {"unit": " steps", "unit_scale": True, "smoothing": 0.05, "mininterval": 0.5, "dynamic_ncols": True}
+        with tqdm(total=self.settings.total_frames, initial=self.counters.frames, **shown) as bar:
             while not self.finished and not stop:
                 self._iterate(bar)
                 if self._wall() >= self._next_save:
@@ -143,20 +136,23 @@ class Trainer:
 
     def _iterate(self, bar: tqdm[Any]) -> None:
         """Collect, update, and evaluate if it is time."""
-        settings, now = self.settings, self.counters
         seen: dict[str, TensorDictBase] = {}
         try:
-            seen["collected"] = collected = self.collector.collect()
-            check_collected(collected)
-            self.replay.extend(collected)
-            metrics = {}
-            if not self.explorer.warming_up and self.replay.ready:
-                for _ in range(settings.updates):
-                    seen["batch"] = self.replay.sample()
-                    metrics = self.algorithm.update(seen["batch"])
-                check_losses(metrics)
+            self._learn(bar, seen)
         except NumericalError as error:
-            raise self._post_mortem(error, seen) from error
+            raise self._post_mortem(error, {"collected": self.collector.latest, **seen}) from error
+
+    def _learn(self, bar: tqdm[Any], seen: dict[str, TensorDictBase]) -> None:
+        settings, now = self.settings, self.counters
+        seen["collected"] = collected = self.collector.collect()
+        check_collected(collected)
+        self.replay.extend(collected)
+        metrics: dict[str, Tensor] = {}
+        if not self.explorer.warming_up and self.replay.ready:
+            for _ in range(settings.updates):
+                seen["batch"] = self.replay.sample()
+                metrics = self.algorithm.update(seen["batch"])
+            check_losses(metrics)
         now.frames += collected.numel()
         now.episodes += int(collected["next", "done"].sum())
         now.diverged += int(collected["next", "diverged"].sum())
@@ -269,7 +265,9 @@ class Trainer:
         with new_directory(target) as aside:
             for name, batch in seen.items():
                 save_tree(aside / f"{name}.safetensors", batch.to_dict())
-            save_tree(aside / STATE, self.state_dict())
+            # Another library's simulator keeps its state to itself.
+            if has_state(self.collector.env):
+                save_tree(aside / STATE, self.state_dict())
             write_manifest(aside, {"error": said})
         return NumericalError(
             f"{said} The last batch and the whole state are in {target} (gctd3.files.load_tree reads them). "

@@ -13,7 +13,7 @@ from gctd3.envs.factory import EnvSettings, build_env, make_env
 from gctd3.envs.gait import WalkingTask
 from gctd3.envs.reward import Endings, Reward
 from gctd3.envs.simulation import Simulation, Start, substeps_of
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, NumericalError
 from gctd3.robot import Robot
 
 ENDS = ("fall", "long_contact", "stuck_hip")
@@ -238,7 +238,7 @@ def test_a_reset_leaves_the_others_alone(task):
 def test_actions_that_are_not_finite_are_refused(task, bad):
     action = np.zeros((2, 6))
     action[1, 3] = bad
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(NumericalError, match=r"finite.* of robot \d"):
         started(task, 2).step(action)
 
 

@@ -34,6 +34,21 @@ def assert_untrained(directory):
 
 
 WRONG = {
+    "algo=gtcd3": ["'algo/gtcd3'", "Did you mean 'gctd3'?", "ddpg, gctd3, sac, td3"],
+    "robot=bipd": ["'robot/bipd'", "Did you mean 'biped'?"],
+    "reward@evaluation.reward=papr": ["'reward/papr'", "Did you mean 'paper'?"],
+    "robot.name=hexapd": ["'hexapd'", "Did you mean 'hexapod'?"],
+    "robot.feet=[foot_lef]": ["'foot_lef'", "Did you mean 'foot_left'?"],
+    "robot.graph=author": ["robot.graph", "Did you mean 'authors'?"],
+    "exploration.warmup_frames=241": ["exploration.warmup_frames must be at most total_frames = 240, got 241"],
+    "exploration.frequency=[1,26]": ["exploration.frequency", "25 Hz", "[1, 26]"],
+    "exploration.noise=[0.1,20]": ["exploration.noise", "<= 10", "[0.1, 20]"],
+    "replay.batch_size=980": ["replay.capacity must hold a batch", "replay.batch_size is 980", "972"],
+    "reward.air_time_least=0.5": ["reward.air_time_least", "at most air_time_most", "0.5 and 0.45"],
+    "network.hidden=[16384,16384]": ["network.hidden", "100,000,000 weights", "268,435,456"],
+    "network.hidden=[99999]": ["network.hidden", "16,384", "[99999]"],
+    "env.history=100000": ["env.history must be at most 1,000, got 100000"],
+    "algo.tau=1e400": ["algo.tau must be a number"],
     "algo=ppo": ["'algo/ppo'", "ddpg", "gctd3", "sac", "td3"],
     "experiment=papr": ["'experiment/papr'", "paper"],
     "algo.learning_rat=1": ["'algo.learning_rat'", "Did you mean 'algo.learning_rate'?", "algo.gamma"],
@@ -49,14 +64,14 @@ WRONG = {
     "network.hidden=[64,0]": ["network.hidden", "at least 1", "[64, 0]"],
     "evaluation.episodes=0": ["evaluation.episodes", "at least 1", "0"],
     "total_frames=-1": ["total_frames", "at least", "-1"],
-    "env.control_dt=0.013": ["control_dt", "0.005", "0.013"],
+    "env.control_dt=0.013": ["env.control_dt", "0.005", "0.013"],
     "robot.graph=ring": ["robot.graph", "tree, authors, edgeless, complete, random", "'ring'"],
     "robot.name=centipede": ["'centipede'", "biped", ".xml"],
     "robot.name=nowhere.xml": ["nowhere.xml"],
     "seed=[": ["seed=["],
     "seed=99999999999": ["seed must be", "below 2^32", "99999999999"],
     "algo=null": ["cannot be combined"],
-    "evaluation.episodes=100000000000": ["Not enough memory", "number of episodes"],
+    "evaluation.episodes=100000000000": ["evaluation.episodes must be at most 100,000"],
 }
 
 
@@ -64,7 +79,13 @@ WRONG = {
 def test_a_wrong_command_line_is_answered(capsys, tmp_path, arguments):
     error = answer(capsys, "train", *tiny(tmp_path / "run", *arguments.split()))
     assert all(words in error for words in WRONG[arguments]), error
-    assert_untrained(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_too_little_memory_is_answered(capsys, tmp_path):
+    assert command("train", *tiny(tmp_path / "run", "replay.capacity=1_000_000_000_000")) == 2
+    error = capsys.readouterr().err
+    assert "Traceback" not in error and "error: Not enough memory" in error and "replay.capacity" in error
 
 
 @pytest.mark.parametrize("argument", ["algo=ppo", "env.num_envs=0"])

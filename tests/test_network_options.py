@@ -144,7 +144,7 @@ def test_every_second_layer_mixes_all_nodes(graph):
 @pytest.mark.parametrize(
     "settings, message",
     [
-        ({"chebyshev": -1}, "chebyshev must be an order of at least 0, or null, got -1"),
+        ({"chebyshev": -1}, "chebyshev must be an order of at least 0 and at most 100, or null, got -1"),
         ({"mixing": "alternating"}, "mixing must be local unless residual is true"),
         ({"graph_layers": (), "residual": True}, "graph_layers must hold at least one size for residual"),
         ({"graph_layers": (), "graph_norm": "layer", "chebyshev": 2}, "for graph_norm, chebyshev to act on"),

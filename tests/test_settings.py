@@ -269,8 +269,9 @@ def test_both_of_a_pair_are_named(default):
 
 
 def test_a_metric_that_is_none_is_named_with_those_there_are(default):
-    message = fails(edited(default, "stop_when.at_least", {"speed": 1.0}))
-    assert "stop_when.at_least" in message and "speed" in message and "velocity_mean" in message
+    message = fails(edited(default, "stop_when.at_least", {"velocity": 1.0}))
+    assert "stop_when.at_least" in message and "'velocity'. Did you mean 'velocity_mean'?" in message
+    assert "success_rate" in message
 
 
 def test_settings_that_do_not_fit_one_another(default):

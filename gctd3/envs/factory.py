@@ -16,14 +16,16 @@ from torchrl.envs import (
     TransformedEnv,
 )
 
+from gctd3.envs.check import CheckStep
 from gctd3.envs.gait import WalkingTask
-from gctd3.envs.library import LibrarySettings, build_library_env
+from gctd3.envs.library import MOST_FRAMES, MOST_ROBOTS, LibrarySettings, build_library_env
 from gctd3.envs.reward import Endings, Reward
 from gctd3.envs.simulation import Simulation, Start
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, check_between
 from gctd3.robot import Robot
 
 Backend = Literal["batched", "dm_control"]
+MOST_THREADS = 1024
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class EnvSettings:
         history: Frames stacked into an observation.
         control_dt: Control period (s).
         threads: Of the batched backend; all cores if ``None``.
+        check: Whether every step is checked by :class:`.CheckStep`.
         start: Where episodes start.
         endings: When they end.
     """
@@ -45,17 +48,18 @@ class EnvSettings:
     history: int = 5
     control_dt: float = 0.02
     threads: int | None = None
+    check: bool = False
     start: Start = field(default_factory=Start)
     endings: Endings = field(default_factory=Endings)
 
     def __post_init__(self) -> None:
-        for name in ("num_envs", "history"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        check_between(self, 1, MOST_ROBOTS, "num_envs")
+        check_between(self, 1, MOST_FRAMES, "history")
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, or null for all cores, got {self.threads}.")
-        if not self.control_dt > 0:
-            raise ConfigError(f"control_dt must be above 0 s, got {self.control_dt}.")
+        check_between(self, 1, MOST_THREADS, "threads")
+        if not 0 < self.control_dt <= 1:
+            raise ConfigError(f"control_dt must be above 0 s and at most 1 s, got {self.control_dt}.")
 
     def judging(self, episodes: int, threads: int | None = None) -> EnvSettings:
         """The same task for one evaluation: a robot for each episode, all at once."""
@@ -92,7 +96,8 @@ def build_env(robot: Robot, settings: EnvSettings | LibrarySettings, reward: Rew
     else:
         raise ConfigError(f"backend must be batched or dm_control, got {settings.backend!r}.")
     stack = CatFrames(N=settings.history, dim=-1, in_keys=["nodes"], padding="same")
-    return TransformedEnv(env, Compose(*extras, stack))
+    checks = [CheckStep()] if settings.check else []
+    return TransformedEnv(env, Compose(*extras, stack, *checks))
 
 
 def make_env(

@@ -25,8 +25,10 @@ from torchrl.envs import (
 
 from gctd3.envs.gait import FEATURES
 from gctd3.envs.nodes import NodeSensor, sensor_of, simulator, with_nodes
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, check_between
 from gctd3.robot import Robot
+
+MOST_ROBOTS, MOST_FRAMES = 100_000, 1000  # stepped together; stacked into an observation
 
 
 @dataclass(frozen=True)
@@ -46,9 +48,8 @@ class LibrarySettings:
     history: int = 2
 
     def __post_init__(self) -> None:
-        for name in ("num_envs", "history"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        check_between(self, 1, MOST_ROBOTS, "num_envs")
+        check_between(self, 1, MOST_FRAMES, "history")
 
     @property
     def robot(self) -> Robot:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, check_between
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,12 @@ class Reward:
     off_line: float = 0.0
 
     def __post_init__(self) -> None:
-        _require_at_least(self, 1, "progress_steps", "frames")
+        check_between(self, 1, 1000, "progress_steps", "frames")
+        if not 0 <= self.air_time_least <= self.air_time_most:
+            raise ConfigError(
+                "air_time_least must be at least 0 s and at most air_time_most, "
+                f"got {self.air_time_least} and {self.air_time_most}."
+            )
 
 
 @dataclass(frozen=True)
@@ -91,15 +96,8 @@ class Endings:
     fall_tilt: float | None = 0.8
 
     def __post_init__(self) -> None:
-        _require_at_least(self, 1, "contact_steps", "hip_steps", "time_limit")
+        check_between(self, 1, 10**9, "contact_steps", "hip_steps", "time_limit")
         if self.fall_tilt is not None and not self.fall_tilt > 0:
             raise ConfigError(f"fall_tilt must be an angle above 0 rad, or null, got {self.fall_tilt}.")
         if not self.finish > 0:
             raise ConfigError(f"finish must be a distance above 0 m, got {self.finish}.")
-
-
-def _require_at_least(settings: object, least: int, *names: str) -> None:
-    for name in names:
-        value = getattr(settings, name)
-        if value is not None and value < least:
-            raise ConfigError(f"{name} must be at least {least}, got {value}.")

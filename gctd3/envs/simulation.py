@@ -11,7 +11,11 @@ import mujoco.rollout
 import numpy as np
 
 from gctd3.envs.gait import Measurement, Outcome, Progress, WalkingTask, from_dict, put, take, to_dict
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, NumericalError, check_between
+
+MOST_SUBSTEPS = 1000
+# Of the simulator's clock (s). Not 0: MuJoCo sets it to that when it starts a robot anew, which is how that is seen.
+BEGINNING = 1.0
 
 
 @dataclass(frozen=True)
@@ -27,9 +31,8 @@ class Start:
     velocity_noise: float = 0.1
 
     def __post_init__(self) -> None:
-        for name in ("angle_noise", "velocity_noise"):
-            if getattr(self, name) < 0:
-                raise ConfigError(f"{name} must be at least 0, got {getattr(self, name)}.")
+        check_between(self, 0, 10, "angle_noise")
+        check_between(self, 0, 1000, "velocity_noise")
 
 
 class Simulation:
@@ -98,6 +101,7 @@ class Simulation:
         data = self._data[0]
         for i, robot in enumerate(robots):
             mujoco.mj_resetData(model, data)
+            data.time = BEGINNING
             data.qpos[joints_q] += self.rng.uniform(-self.start.angle_noise, self.start.angle_noise, len(joints_q))
             data.qvel[joints_v] += self.rng.uniform(
                 -self.start.velocity_noise, self.start.velocity_noise, len(joints_v)
@@ -116,10 +120,14 @@ class Simulation:
         A robot whose simulation fails stays where it was, and its episode ends as by a fall.
 
         Raises:
-            ValueError: If an action is not finite; MuJoCo would stop that robot without a word.
+            NumericalError: If an action is not finite; MuJoCo would stop that robot without a word.
         """
         if not np.isfinite(action).all():
-            raise ValueError("Actions must be finite, got NaN or infinity: the policy that chose them has diverged.")
+            robot, index = np.argwhere(~np.isfinite(action))[0]
+            raise NumericalError(
+                f"Actions must be finite, got {action[robot, index]} for actuator {index} of robot {robot}: "
+                "the policy that chose it has diverged"
+            )
         desired = self._middle + self._half * np.clip(action, -1.0, 1.0)
         control = np.repeat(desired[:, None, :], self.substeps, axis=1)
         before, self.state = self.state, self._states[:, -1]
@@ -155,11 +163,14 @@ def substeps_of(control_dt: float, model: mujoco.MjModel) -> int:
     """Physics steps in a control step.
 
     Raises:
-        ConfigError: If the period is not a positive multiple of the MJCF's timestep.
+        ConfigError: If the period is not a positive multiple of the MJCF's timestep, or thousands of it.
     """
-    substeps = round(control_dt / model.opt.timestep)
-    if substeps < 1 or abs(substeps * model.opt.timestep - control_dt) > 1e-9:
+    timestep = model.opt.timestep
+    # MuJoCo takes any number for a timestep.
+    ratio = control_dt / timestep if timestep > 0 else 0.0
+    if not 0.5 < ratio < MOST_SUBSTEPS + 0.5 or abs(round(ratio) * timestep - control_dt) > 1e-9:
         raise ConfigError(
-            f"control_dt must be a multiple of the MJCF's timestep of {model.opt.timestep} s, got {control_dt} s."
+            f"env.control_dt must be 1 to {MOST_SUBSTEPS:,} times the MJCF's timestep of {timestep} s, "
+            f"got {control_dt} s."
         )
-    return substeps
+    return round(ratio)

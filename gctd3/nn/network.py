@@ -17,6 +17,8 @@ from gctd3.nn.readout import JointReadout, PooledReadout
 from gctd3.nn.symmetry import Symmetric
 from gctd3.reflection import Reflection
 
+MOST_LAYERS, MOST_UNITS, MOST_WEIGHTS = 100, 16_384, 100_000_000
+
 
 @dataclass(frozen=True)
 class Network:
@@ -51,10 +53,21 @@ class Network:
         for name, sizes in (("graph_layers", self.graph_layers), ("hidden", self.hidden)):
             if any(size < 1 for size in sizes):
                 raise ConfigError(f"{name} must hold sizes of at least 1, got {list(sizes)}.")
+            if len(sizes) > MOST_LAYERS or any(size > MOST_UNITS for size in sizes):
+                raise ConfigError(
+                    f"{name} must hold at most {MOST_LAYERS} sizes of at most {MOST_UNITS:,}, got {list(sizes)}."
+                )
+            weights = sum(size * following for size, following in itertools.pairwise(sizes))
+            if weights > MOST_WEIGHTS:
+                raise ConfigError(
+                    f"{name} must hold sizes with at most {MOST_WEIGHTS:,} weights between them, got {weights:,}."
+                )
         if not self.hidden:
             raise ConfigError("hidden must hold at least one size, got [].")
-        if self.chebyshev is not None and self.chebyshev < 0:
-            raise ConfigError(f"chebyshev must be an order of at least 0, or null, got {self.chebyshev}.")
+        if self.chebyshev is not None and not 0 <= self.chebyshev <= MOST_LAYERS:
+            raise ConfigError(
+                f"chebyshev must be an order of at least 0 and at most {MOST_LAYERS}, or null, got {self.chebyshev}."
+            )
         if self.mixing == "alternating" and not self.residual:
             raise ConfigError(
                 "mixing must be local unless residual is true, got alternating: a layer that mixes all nodes "

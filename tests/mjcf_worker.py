@@ -1,0 +1,20 @@
+"""Reads paths of MJCF files from stdin, says for each what came of it: MuJoCo's compiler may end its process."""
+
+import sys
+
+from gctd3.envs.gait import WalkingTask
+from gctd3.errors import GCTD3Error
+from gctd3.graph import KinematicGraph
+from gctd3.robot import Robot
+
+for line in sys.stdin:
+    try:
+        robot = Robot.from_mjcf(line.rstrip("\n"))
+        KinematicGraph.from_robot(robot)
+        WalkingTask(robot)
+        answer = "ok"
+    except GCTD3Error as error:
+        answer = "error " + type(error).__name__ if str(error) else "silent"
+    except Exception as error:
+        answer = f"defect {type(error).__name__}: {error}".replace("\n", " ")
+    print(answer, flush=True)
