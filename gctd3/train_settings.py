@@ -37,6 +37,7 @@ COLUMNS = (
     "stride_hz",
     "flight_fraction",
     "diverged",
+    "train_episodes",
 )
 
 
