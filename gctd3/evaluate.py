@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,65 +14,25 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from gctd3 import gait_metrics
 from gctd3.cli import command
 from gctd3.envs.factory import build_env
 from gctd3.envs.gait import FEATURES
 from gctd3.envs.library import LibrarySettings
 from gctd3.envs.reward import Reward
+from gctd3.episode import LAST_METRES, Episode
 from gctd3.errors import ConfigError, check_seed
 from gctd3.faults import check_finite
+from gctd3.files import write_text
+from gctd3.gait_summary import OF_STRIDES, summarize
 from gctd3.graph import KinematicGraph
+from gctd3.motion import Recorder
 from gctd3.nodes import foot_slots
 from gctd3.robot import Robot
 from gctd3.settings import build
 
 # Table 5 of the paper, column GCTD3. Its body position seems to count from the spawn height, 0.0235 m above standing.
 PAPER = {"return_mean": 380.0, "return_std": 18.47, "velocity_mean": 1.414, "body_position_mean": -0.0202}
-LAST_METRES = 10.0  # over which gaits are judged, so that the start does not count
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One episode, as it was; ``T`` is its number of steps.
-
-    Attributes:
-        reward: Shape ``[T]``.
-        position: Distance walked, shape ``[T]`` (m).
-        height: Body height from standing, shape ``[T]`` (m).
-        hips: Hip angles in the sense of the first leg's, one column per foot, shape ``[T, feet]`` (rad).
-        feet_down: Contacts, shape ``[T, feet]``.
-        success: Whether it reached the finish.
-        pairs: Feet on the right and left that mirror each other.
-    """
-
-    reward: np.ndarray
-    position: np.ndarray
-    height: np.ndarray
-    hips: np.ndarray
-    feet_down: np.ndarray
-    success: bool
-    pairs: tuple[tuple[int, int], ...] = ((0, 1),)
-
-    def velocity(self, dt: float) -> float:
-        """Distance over time (m/s)."""
-        return float(self.position[-1]) / (len(self.position) * dt)
-
-    def gait(self, dt: float) -> dict[str, float] | None:
-        """Metrics over the last 10 m; ``None`` if it did not get that far."""
-        walked = self.position > self.position[-1] - LAST_METRES
-        if self.position[-1] < LAST_METRES or walked.sum() < 2:
-            return None
-        hips = [gait_metrics.correlation(self.hips[walked, i], self.hips[walked, k]) for i, k in self.pairs]
-        flight, single, double = gait_metrics.support_fractions(self.feet_down[walked])
-        return {
-            "hip_correlation": float(np.mean(hips)) if hips else math.nan,
-            "stride_hz": gait_metrics.stride_frequency(self.feet_down[walked], dt),
-            "flight_fraction": flight,
-            "single_support_fraction": single,
-            "double_support_fraction": double,
-            "height_rms": float(np.sqrt(np.mean((self.height[walked] - self.height[walked].mean()) ** 2))),
-        }
+EVALUATION, TRACE = "evaluation.json", "trace.csv"
 
 
 @dataclass(frozen=True)
@@ -105,6 +65,11 @@ class Evaluation:
             "body_position_mean": float(np.mean(np.concatenate([e.height for e in episodes]))),
         }
 
+    @property
+    def typical(self) -> Episode:
+        """The episode whose return is the median one, or just below."""
+        return self.episodes[int(np.argsort(self.returns, kind="stable")[(len(self.episodes) - 1) // 2])]
+
     def gait(self) -> dict[str, float]:
         """Gait metrics over the last 10 m, averaged over the episodes that got that far; empty if none did."""
         gaits = [gait for e in self.episodes if (gait := e.gait(self.control_dt)) is not None]
@@ -114,7 +79,9 @@ class Evaluation:
         return {"episodes": len(gaits), **averages}
 
 
-def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int, control_dt: float) -> Evaluation:
+def evaluate(
+    policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int, control_dt: float, record: bool = False
+) -> Evaluation:
     """Run one episode on every robot of ``env``.
 
     Args:
@@ -123,6 +90,7 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int
         robot: Its robot.
         seed: Of the starts: equal seeds, equal starts.
         control_dt: Control period (s).
+        record: Whether to keep each episode's motion; only for the batched backend.
 
     Raises:
         NumericalError: If an action of the policy is not finite.
@@ -137,19 +105,23 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int
     with torch.random.fork_rng(devices=[]), torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         env.set_seed(seed)
         state = env.reset()
+        recorder = Recorder(robot, env.base_env.simulation) if record else None
         while alive.any():
             acting = policy(state)
             check_finite("action", acting["action"])
             state = env.step(acting)
+            if recorder is not None:
+                recorder.add(acting["action"].numpy().astype(np.float64))
             after = state["next"]
             newest = after["nodes"][..., -FEATURES:]
             frames.append((alive, after["reward"][:, 0], after["position"][:, 0], newest, after["success"][:, 0]))
             alive = alive & ~after["done"][:, 0]
             state = step_mdp(state)
     lived, reward, position, nodes, success = (torch.stack(column).numpy() for column in zip(*frames, strict=True))
+    lengths = [int(steps) for steps in lived.sum(axis=0)]
+    motions = recorder.motions(lengths) if recorder is not None else [None] * count
     episodes = []
-    for i in range(count):
-        steps = int(lived[:, i].sum())
+    for i, steps in enumerate(lengths):
         mine = nodes[:steps, i]
         episodes.append(
             Episode(
@@ -160,6 +132,7 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int
                 feet_down=mine[:, ground, feature] > 0.5,
                 pairs=tuple((i, other) for i, other in enumerate(robot.mirror_feet) if i < other),
                 success=bool(success[:steps, i].any()),
+                motion=motions[i],
             )
         )
     return Evaluation(episodes, control_dt)
@@ -207,17 +180,40 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     robot = trained.load_robot()
     judged = trained.env.judging(settings.episodes, settings.threads)
     env = build_env(robot, judged, settings.reward, settings.seed)
-    result = evaluate(policy, env, robot, settings.seed, judged.control_dt)
-    task = {"task": judged.task} if isinstance(judged, LibrarySettings) else {}
+    walks = not isinstance(judged, LibrarySettings)
+    result = evaluate(policy, env, robot, settings.seed, judged.control_dt, record=walks)
+    task = {"task": judged.task} if isinstance(judged, LibrarySettings) else {"reward": asdict(settings.reward)}
     report: dict[str, object] = {
         **task,
         **result.summary(),
-        "gait": result.gait(),
+        "gait": {**result.gait(), **(summarize(result.episodes, robot, judged.control_dt) if walks else {})},
         "seeds": {"training": trained.seed, "evaluation": settings.seed},
         "versions": versions(),
     }
-    (run / "evaluation.json").write_text(json.dumps(_finite(report), indent=2) + "\n", encoding="utf-8")
+    report = {key: _finite(value) for key, value in report.items()}
+    if walks:
+        write_text(run / TRACE, trace(result.typical, robot, judged.control_dt))
+    write_text(run / EVALUATION, json.dumps(report, indent=2) + "\n")
     return report
+
+
+def trace(episode: Episode, robot: Robot, dt: float) -> str:
+    """An episode whose motion was recorded as CSV, a row for each control step, units in the head.
+
+    Raises:
+        ValueError: If its motion was not recorded.
+    """
+    motion = episode.motion
+    if motion is None:
+        raise ValueError("The episode's motion was not recorded; evaluate(..., record=True) does.")
+    names = [joint.name for joint in robot.joints]
+    head = ["time_s", "position_m", "height_m", "velocity_m_s"]
+    head += [f"angle_{name}_rad" for name in names] + [f"velocity_{name}_rad_s" for name in names]
+    head += [f"down_{foot}" for foot in robot.feet]
+    time = dt * np.arange(1, len(episode.position) + 1)
+    columns = [time, episode.position, episode.height, motion.velocity, *motion.angles.T, *motion.velocities.T]
+    rows = zip(*columns, *episode.feet_down.T.astype(int), strict=True)
+    return "\n".join([",".join(head), *(",".join(f"{value:.6g}" for value in row) for row in rows)]) + "\n"
 
 
 def table(report: dict[str, object]) -> str:
@@ -246,7 +242,10 @@ def table(report: dict[str, object]) -> str:
     if not isinstance(gait, dict) or not gait:
         return "\n".join([*lines, f"No episode got {LAST_METRES:.0f} m far, so there is no gait to measure."])
     lines += ["", f"Gait over the last {LAST_METRES:.0f} m of {gait['episodes']:.0f} episodes"]
-    lines += [f"{key.replace('_', ' '):34}{value:>18.3f}" for key, value in gait.items() if key != "episodes"]
+    for key, value in gait.items():
+        if key != "episodes":
+            said = f"{value:.4g}" if value is not None else "not periodic" if key in OF_STRIDES else "undefined"
+            lines.append(f"{key.replace('_', ' '):34}{said:>18}")
     return "\n".join(lines)
 
 

@@ -1,10 +1,22 @@
-"""Numbers that say what kind of gait a robot has. NumPy in, floats out; units and formulas stand in each docstring."""
+"""Numbers that say what kind of gait a robot has, from contacts and joint angles.
+
+NumPy in, floats out; units, formulas and sources stand in each docstring. What a signal does not show is NaN. Contacts
+are debounced here, and a stride lasts from a foot's touchdown to its next. :mod:`.gait_effort` has what a gait costs.
+"""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
+
+DROPPED = 2  # strides of each foot at the start that are not counted: the gait has yet to settle
+FEWEST = 3  # strides of a foot below which nothing is said of its period
+LARGEST_VARIATION = 0.25  # of a periodic gait's stride times; people walk at 0.02 to 0.03 (Hausdorff 2005)
+LEAST_REGULARITY = 0.7  # of a periodic gait
+SHORTEST_SWING = 0.2  # of the stride; a foot that is up for less has bounced (people swing for 0.4)
+PHASES = 100  # samples of a stride, for comparing strides of different length
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
@@ -54,3 +66,197 @@ def stride_frequency(feet_down: np.ndarray, dt: float) -> float:
     strides = [np.diff(touchdowns(contact)) for contact in np.asarray(feet_down, dtype=bool).T]
     periods = np.concatenate(strides) if strides else np.array([])
     return float(1.0 / (np.median(periods) * dt)) if len(periods) >= 2 else float("nan")
+
+
+# Strides.
+
+
+def strides(contact: np.ndarray, drop: int = DROPPED) -> np.ndarray:
+    """The strides of one foot's contact signal ``[T]``, without the first ``drop``.
+
+    Returns:
+        First index of each stride and of the one after it, shape ``[K, 2]``.
+    """
+    down = touchdowns(contact)
+    return np.stack([down[:-1], down[1:]], axis=1)[drop:] if len(down) > 1 else np.zeros((0, 2), dtype=np.int64)
+
+
+def stride_variation(strides: np.ndarray) -> float:
+    """Coefficient of variation of the stride times of ``[K, 2]``: standard deviation over mean (Hausdorff 2005).
+
+    NaN for fewer than two strides.
+    """
+    periods = np.diff(strides, axis=1)
+    return float(periods.std() / periods.mean()) if len(periods) > 1 else float("nan")
+
+
+def is_periodic(feet: Sequence[np.ndarray]) -> bool:
+    """Whether every foot takes at least three strides, and their times vary by at most a quarter.
+
+    A gait that is not periodic has no stride of which to give symmetry, phase or stability.
+
+    Args:
+        feet: Strides of each foot, as :func:`strides` finds them.
+    """
+    enough = len(feet) > 0 and all(len(foot) >= FEWEST for foot in feet)
+    return enough and all(stride_variation(foot) <= LARGEST_VARIATION for foot in feet)
+
+
+def duty_factor(contact: np.ndarray, strides: np.ndarray) -> float:
+    """Contact time over stride time (Alexander 1984), the mean over strides; above 0.5 a biped walks, below it runs.
+
+    Args:
+        contact: Of the foot, shape ``[T]``.
+        strides: Of the same foot, shape ``[K, 2]``.
+    """
+    clean = debounce(contact)
+    return _mean([clean[begin:end].mean() for begin, end in strides])
+
+
+def phase_offset(strides: np.ndarray, touchdowns: np.ndarray) -> float:
+    """When in one foot's stride the other touches down, as a fraction in [0, 1); 0.5 of a gait whose legs take turns.
+
+    The circular mean over strides of ``(t_other - t_begin) / (t_end - t_begin)``; a stride in which the other foot does
+    not touch down is left out. NaN if it never does.
+
+    Args:
+        strides: Of the one foot, shape ``[K, 2]``.
+        touchdowns: Of the other foot, shape ``[M]``.
+    """
+    phases = [(t - begin) / (end - begin) for begin, end in strides for t in touchdowns if begin <= t < end]
+    if not phases:
+        return float("nan")
+    mean = np.angle(np.exp(2j * np.pi * np.array(phases)).mean()) / (2 * np.pi)
+    # Rounded, since an offset of nothing may come out as the smallest negative number, which is 1 and not 0.
+    return float(np.round(mean, 12) % 1.0)
+
+
+def swing_clearance(height: np.ndarray, contact: np.ndarray) -> float:
+    """Height of a foot in the middle of its swing (m), the median over swings (Winter 1992 calls it toe clearance).
+
+    The middle is halfway in time between lift-off and touchdown; swings at either end of the signal are left out.
+
+    Args:
+        height: Of the sole's lowest point above the ground, shape ``[T]`` (m).
+        contact: Of the foot, shape ``[T]``.
+    """
+    clean, down = debounce(contact), touchdowns(contact)
+    lifts = np.flatnonzero(~clean[1:] & clean[:-1]) + 1
+    middles = [(lift + down[down > lift][0] - 1) // 2 for lift in lifts if (down > lift).any()]
+    return float(np.median(height[middles])) if middles else float("nan")
+
+
+# Symmetry.
+
+
+def symmetry_index(right: float, left: float) -> float:
+    """``(X_R - X_L) / (0.5 (X_R + X_L)) * 100`` (%), Herzog et al. 1989; 0 when both sides are equal.
+
+    For positive quantities: of an angle, whose mean may be zero, it says nothing; see :func:`shifted_rms`.
+    """
+    total = 0.5 * (right + left)
+    return float((right - left) / total * 100.0) if total else float("nan")
+
+
+def mean_stride(signal: np.ndarray, strides: np.ndarray, phases: int = PHASES) -> np.ndarray:
+    """The average course of a signal ``[T]`` over strides ``[K, 2]``, each stretched to ``phases`` samples."""
+    grid = np.arange(phases) / phases
+    times = np.arange(len(signal))
+    return np.mean([np.interp(begin + grid * (end - begin), times, signal) for begin, end in strides], axis=0)
+
+
+def shifted_rms(right: np.ndarray, left: np.ndarray, strides: np.ndarray) -> float:
+    """How far the left joint is from doing what the right did half a stride before: RMS of the difference (rad).
+
+    ``sqrt(mean_p (R(p) - L(p + 1/2))^2)`` over the phases ``p`` of the mean stride; 0 of legs that take turns in the
+    same movement.
+
+    Args:
+        right: Angle of a right joint, shape ``[T]`` (rad).
+        left: Angle of the same joint on the left, in the same sense, shape ``[T]`` (rad).
+        strides: Of the right foot, shape ``[K, 2]``.
+    """
+    if not len(strides):
+        return float("nan")
+    shifted = np.roll(mean_stride(left, strides), -PHASES // 2)
+    return rms(mean_stride(right, strides) - shifted)
+
+
+def rms(values: np.ndarray) -> float:
+    """Root of the mean square of all values."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+# Periodicity and stability.
+
+
+def regularity(signals: np.ndarray, lag: int) -> float:
+    """How well signals repeat after ``lag`` samples: their autocorrelation there, in [-1, 1]; 1 of a periodic motion.
+
+    ``sum_t x_t x_{t+lag} / sqrt(sum_t x_t^2 sum_t x_{t+lag}^2)`` about the mean, over all signals together, after the
+    stride regularity of Moe-Nilssen & Helbostad 2004. NaN for fewer than two strides, or if nothing moves.
+
+    Args:
+        signals: Shape ``[T, J]``.
+        lag: Samples in a stride.
+    """
+    if lag < 1 or len(signals) < 2 * lag:
+        return float("nan")
+    about = signals - signals.mean(axis=0)
+    a, b = about[:-lag], about[lag:]
+    size = np.sqrt((a * a).sum() * (b * b).sum())
+    return float((a * b).sum() / size) if size else float("nan")
+
+
+def stride_lag(signals: np.ndarray) -> int | None:
+    """Samples in a stride of joint angles ``[T, J]``: the first lag after which they repeat about as well as ever.
+
+    The first peak of :func:`regularity` past its first zero that comes within 0.1 of the highest; legs that take turns
+    do not repeat after half a stride. ``None`` if no peak reaches 0.7: then the motion is not periodic.
+    """
+    values = np.array([regularity(signals, lag) for lag in range(1, len(signals) // 2 + 1)])
+    below = np.flatnonzero(values < 0)
+    if not len(below):
+        return None
+    inside = np.flatnonzero((values[1:-1] >= values[:-2]) & (values[1:-1] >= values[2:])) + 1
+    peaks = inside[inside > below[0]]
+    if not len(peaks) or values[peaks].max() < LEAST_REGULARITY:
+        return None
+    return int(peaks[values[peaks] >= values[peaks].max() - 0.1][0]) + 1
+
+
+def floquet_multipliers(sections: Sequence[np.ndarray]) -> np.ndarray | None:
+    """Eigenvalues of the touchdown map, largest first: deviations ``d`` from the mean state obey ``d' = A d``.
+
+    ``A`` is the least-squares fit over all pairs of a touchdown and the next. All within the unit circle: what pushes
+    the gait off its cycle dies out (Hurmuzlu & Basdogan 1994). Noise pulls the estimate towards zero (Ahn & Hogan
+    2015), and so does a touchdown that is known to a sample only: these are estimates from below.
+
+    Args:
+        sections: For each episode the states at one foot's touchdowns, shape ``[K, n]``.
+
+    Returns:
+        Complex, shape ``[n]``; ``None`` with fewer than ``3 n`` pairs, too few to fit to.
+    """
+    usable = [section for section in sections if len(section) > 1]
+    pairs = sum(len(section) - 1 for section in usable)
+    if not usable or pairs < 3 * usable[0].shape[1]:
+        return None
+    before = np.concatenate([section[:-1] for section in usable])
+    after = np.concatenate([section[1:] for section in usable])
+    # In units of its own spread, so that metres and radians weigh alike; eigenvalues do not change.
+    spread = before.std(axis=0)
+    moving = spread > 1e-9
+    if not moving.any():
+        return np.zeros(len(spread), dtype=complex)
+    centre, scale = before[:, moving].mean(axis=0), spread[moving]
+    x, y = (before[:, moving] - centre) / scale, (after[:, moving] - centre) / scale
+    y = y - y.mean(axis=0)
+    matrix = np.linalg.lstsq(x, y, rcond=1e-6)[0]
+    values = np.zeros(len(spread), dtype=complex)
+    values[: moving.sum()] = np.linalg.eigvals(matrix)
+    return values[np.argsort(-np.abs(values), kind="stable")]
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if len(values) else float("nan")

@@ -38,6 +38,7 @@ COLUMNS = (
     "stride_hz",
     "flight_fraction",
     "diverged",
+    "train_episodes",
 )
 
 

@@ -174,6 +174,7 @@ class Trainer:
             "updates": self.algorithm.updates,
             "wall_s": round(self._wall(), 2),
             "diverged": now.diverged,
+            "train_episodes": now.episodes,
             **result.summary(),
             **{key: value for key, value in result.gait().items() if key != "episodes"},
         }

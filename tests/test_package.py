@@ -29,7 +29,8 @@ STAGES = [
     "faults collector",
     "device",
     "frame_buffer replay",
-    "gait_metrics",
+    "gait_metrics gait_effort",
+    "motion episode gait_summary",
     "settings",
     "cli",
     "train_settings run_config checkpoint",
@@ -104,6 +105,7 @@ def test_the_front_door_imports_nothing_until_it_is_used():
         ("gctd3.nn", ("hydra", "dm_control")),
         ("gctd3.algorithms.td3", ("hydra", "dm_control")),
         ("gctd3.gait_metrics", ("torch", "torchrl", "hydra", "dm_control", "mujoco")),
+        ("gctd3.gait_effort", ("torch", "torchrl", "hydra", "dm_control", "mujoco")),
         ("gctd3.settings", ("torch", "torchrl", "dm_control", "mujoco")),
     ],
 )

@@ -76,6 +76,7 @@ class Simulation:
         self._qpos, self._qvel = slice(1, 1 + nq), slice(1 + nq, 1 + nq + nv)
         self._states = np.empty((num_robots, self.substeps, self.state.shape[1]))
         self._sensors = np.empty((num_robots, self.substeps, self.model.nsensordata))
+        self._before = self.state
         self._data = [mujoco.MjData(self.model) for _ in range(self.threads)]
         # A pool of one thread only adds a hand-over; without a pool the calling thread steps.
         self._pool = mujoco.rollout.Rollout(nthread=0 if self.threads == 1 else self.threads)
@@ -128,9 +129,9 @@ class Simulation:
                 f"Actions must be finite, got {action[robot, index]} for actuator {index} of robot {robot}: "
                 "the policy that chose it has diverged"
             )
-        desired = self._middle + self._half * np.clip(action, -1.0, 1.0)
-        control = np.repeat(desired[:, None, :], self.substeps, axis=1)
+        control = np.repeat(self.desired(action)[:, None, :], self.substeps, axis=1)
         before, self.state = self.state, self._states[:, -1]
+        self._before = before
         self._pool.rollout(self.model, self._data, before, control, state=self._states, sensordata=self._sensors)
         # MuJoCo starts a robot anew whose state is not finite, its clock too.
         late = before[:, 0] + self.task.control_dt - self.state[:, 0]
@@ -141,6 +142,17 @@ class Simulation:
         self.now = put(now, robots, take(self.now, robots)) if len(robots) else now
         self.progress, outcome = self.task.advance(self.progress, self.now, diverged)
         return outcome
+
+    def desired(self, action: np.ndarray) -> np.ndarray:
+        """What an action ``[*, A]`` in [-1, 1] asks of the servos, shape ``[*, A]`` (rad)."""
+        return self._middle + self._half * np.clip(action, -1.0, 1.0)
+
+    def trail(self) -> np.ndarray:
+        """Full physics states through the last control step, its begin and its end included.
+
+        Shape ``[N, substeps + 1, size]``: time (s), ``qpos``, ``qvel`` and the actuators' states.
+        """
+        return np.concatenate([self._before[:, None], self._states], axis=1)
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that the next steps depend on, but the actions."""
