@@ -2,6 +2,7 @@
 
     python benchmarks/walk.py algo=gctd3 seeds=0,1,2,3,4 out=benchmarks/results/walk_gctd3.json
     python benchmarks/walk.py algo=td3 jobs=2 threads=1 env.threads=1
+    python benchmarks/walk.py robot=quadruped seeds=0,1
 
 Each seed is a process of ``python -m gctd3.train``, ``jobs`` of them at a time; any other key is passed on to it. The
 JSON holds the command, the commit, the machine, and for each seed the evaluation, the wall-clock and the learning
@@ -49,7 +50,8 @@ def main() -> None:
     given = dict(argument.split("=", 1) for argument in sys.argv[1:])
     own = {key: given.pop(key, default) for key, default in OWN.items()}
     passed_on = [f"{key}={value}" for key, value in given.items()]
-    seeds, folder = [int(text) for text in own["seeds"].split(",")], Path(own["runs"]) / own["algo"]
+    seeds, robot = [int(text) for text in own["seeds"].split(",")], Path(given.get("robot", "biped")).stem
+    folder = Path(own["runs"]) / ("" if robot == "biped" else robot) / own["algo"]
     with ThreadPoolExecutor(int(own["jobs"])) as pool:
         rows = list(pool.map(lambda s: train_and_judge(own["algo"], s, folder / f"seed{s}", passed_on), seeds))
     print(table(rows))
@@ -58,15 +60,16 @@ def main() -> None:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """A line for each seed."""
-    head = f"{'seed':>4} {'minutes':>8} {'return':>14} {'m/s':>6} {'success':>8} {'hips':>6} {'Hz':>5} {'flight':>7}"
-    lines = [head]
+    head = f"{'seed':>4} {'minutes':>8} {'return':>14} {'m/s':>6} {'m':>6} {'success':>8} {'hips':>6} {'Hz':>5}"
+    lines = [f"{head} {'flight':>7}"]
     for row in rows:
         e, gait = row["evaluation"], row["evaluation"]["gait"]
         cells = [gait.get(key) for key in ("hip_correlation", "stride_hz", "flight_fraction")]
         hips, hz, flight = (f"{cell:.2f}" if cell is not None else "-" for cell in cells)
         lines.append(
             f"{row['seed']:>4} {row['minutes']:>8.1f} {e['return_mean']:>7.1f} ±{e['return_std']:>5.1f} "
-            f"{e['velocity_mean']:>6.2f} {e['success_rate']:>8.2f} {hips:>6} {hz:>5} {flight:>7}"
+            f"{e['velocity_mean']:>6.2f} {e['distance_mean']:>6.2f} {e['success_rate']:>8.2f} "
+            f"{hips:>6} {hz:>5} {flight:>7}"
         )
     return "\n".join(lines)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,6 +25,7 @@ class ExplorationSettings:
         warmup_frames: Frames (all robots together) before the policy acts.
         hold: Control steps for which ``uniform`` holds an action.
         frequency: Lowest and highest frequency of ``rhythmic`` (Hz).
+        heirs: Share of ``rhythmic``'s gaits that descend from those that got farthest before; the rest are drawn anew.
         noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions, spread
             geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for a policy that
             is random by itself.
@@ -36,6 +37,7 @@ class ExplorationSettings:
     warmup_frames: int = 10_000
     hold: int = 5
     frequency: Sequence[float] = (1.2, 2.4)
+    heirs: float = 0.0
     noise: Sequence[float] | None = (0.05, 0.5)
     noise_time: float = 0.0
 
@@ -46,6 +48,8 @@ class ExplorationSettings:
             raise ConfigError(f"hold must be at least 1, got {self.hold}.")
         if len(self.frequency) != 2 or not 0 < self.frequency[0] <= self.frequency[1]:
             raise ConfigError(f"frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
+        if not 0.0 <= self.heirs <= 1.0:
+            raise ConfigError(f"heirs must be between 0 and 1, got {self.heirs}.")
         # Actions are clipped to [-1, 1]: noise beyond that is no longer noise on an action.
         if self.noise is not None and (len(self.noise) != 2 or not 0 < self.noise[0] <= self.noise[1] <= 10):
             raise ConfigError(f"noise must be [smallest, largest] > 0 and <= 10, or null, got {list(self.noise)}.")
@@ -60,11 +64,16 @@ class Rhythm(torch.nn.Module):
     walking but that legs take turns; most draws fall, a few step forward, and those are what the critic starts from.
     A joint without a mirror image follows its own sine.
 
+    With ``heirs`` the gaits evolve: every robot remembers its gait that got farthest, and that share of new gaits are
+    mutations of what a few robots remember, of the farthest among them. So a robot that has to balance, which hardly
+    any draw does, is soon shown gaits that do.
+
     Args:
         robot: The robot.
         num_robots: Robots.
         frequency: Lowest and highest frequency (Hz).
         control_dt: Control period (s).
+        heirs: Share of new gaits that descend from others.
     """
 
     leader: Tensor
@@ -75,12 +84,18 @@ class Rhythm(torch.nn.Module):
     phase: Tensor
     cycles: Tensor
     frequency: Tensor
+    farthest: Tensor
 
     OFFSET = 0.5  # largest, of a joint's half range
     AMPLITUDE = (0.1, 1.0)  # smallest and largest, of a joint's half range
     NOISE = 0.1  # standard deviation of what is added to the sines
+    RIVALS = 4  # robots of whom the one that got farthest is a parent
+    # Standard deviations of what is added to a parent's numbers: of a joint's half range, of a period, in Hz.
+    MUTATION: Mapping[str, float] = {"offset": 0.1, "amplitude": 0.1, "phase": 0.04, "frequency": 0.1}
 
-    def __init__(self, robot: Robot, num_robots: int, frequency: Sequence[float], control_dt: float) -> None:
+    def __init__(
+        self, robot: Robot, num_robots: int, frequency: Sequence[float], control_dt: float, heirs: float = 0.0
+    ) -> None:
         super().__init__()
         partner = torch.from_numpy(robot.action_mirror[0])
         own = torch.arange(len(partner))
@@ -92,7 +107,11 @@ class Rhythm(torch.nn.Module):
             self.register_buffer(name, torch.zeros(num_robots, len(partner)))
         self.register_buffer("cycles", torch.zeros(num_robots))
         self.register_buffer("frequency", torch.zeros(num_robots))
-        self._range, self._dt = tuple(frequency), control_dt
+        self._range, self._dt, self._heirs = tuple(frequency), control_dt, heirs
+        if heirs:
+            self.register_buffer("farthest", torch.full((num_robots,), -math.inf))
+            for name in self.MUTATION:
+                self.register_buffer(f"best_{name}", torch.zeros_like(getattr(self, name)))
 
     def draw(self, mask: Tensor) -> None:
         """Draw new gaits for the robots where ``mask`` (bool ``[robots]``) holds."""
@@ -106,11 +125,41 @@ class Rhythm(torch.nn.Module):
             "frequency": self._range[0] + (self._range[1] - self._range[0]) * torch.rand(shape[0]),
         }
         for name, values in new.items():
-            old = getattr(self, name)
-            old.copy_(torch.where(mask.reshape(-1, *[1] * (old.ndim - 1)), values, old))
+            self._put(name, mask, values)
+        if self._heirs:
+            self._mutate(mask & (torch.rand(len(mask)) < self._heirs))
 
-    def forward(self, is_init: Tensor) -> Tensor:
-        """Actions ``[robots, A]`` of the next step; robots whose episode begins get a new gait first."""
+    def _mutate(self, mask: Tensor) -> None:
+        rivals = torch.randint(len(mask), (len(mask), self.RIVALS))
+        parent = rivals.gather(1, self.farthest[rivals].argmax(dim=1, keepdim=True))[:, 0]
+        mask = mask & self.farthest[parent].isfinite()
+        limits = {"offset": (-1.0, 1.0), "amplitude": self.AMPLITUDE, "frequency": self._range}
+        for name, size in self.MUTATION.items():
+            values = getattr(self, f"best_{name}")[parent]
+            change = size * torch.randn_like(values)
+            values = values + (change if name == "frequency" else change[:, self.leader])
+            self._put(name, mask, values.clamp(*limits[name]) if name in limits else values)
+
+    def _put(self, name: str, mask: Tensor, values: Tensor) -> None:
+        old = getattr(self, name)
+        old.copy_(torch.where(mask.reshape(-1, *[1] * (old.ndim - 1)), values, old))
+
+    def remember(self, position: Tensor) -> None:
+        """Note how far the robots have got, ``[robots]`` (m), with the gaits that they have."""
+        farther = position > self.farthest
+        self._put("farthest", farther, position)
+        for name in self.MUTATION:
+            self._put(f"best_{name}", farther, getattr(self, name))
+
+    def forward(self, is_init: Tensor, position: Tensor | None = None) -> Tensor:
+        """Actions ``[robots, A]`` of the next step; robots whose episode begins get a new gait first.
+
+        Args:
+            is_init: Whose episode begins, bool ``[robots]``.
+            position: Distance walked, ``[robots]`` (m); only heirs need it.
+        """
+        if self._heirs and position is not None:
+            self.remember(torch.where(is_init, -math.inf, position))
         if is_init.any():
             self.draw(is_init)
         self.cycles += self._dt * self.frequency
@@ -122,7 +171,8 @@ class Rhythm(torch.nn.Module):
 class Explorer(TensorDictModuleBase):
     """The policy that collects: warm-up first, then the actor with noise.
 
-    Reads what the actor reads and ``"is_init"``; writes ``"action"`` ``[robots, A]``.
+    Reads what the actor reads and ``"is_init"``, and ``"position"`` if gaits have heirs; writes ``"action"``
+    ``[robots, A]``.
 
     Args:
         actor: The policy under training.
@@ -147,7 +197,7 @@ class Explorer(TensorDictModuleBase):
         control_dt: float = 0.02,
     ) -> None:
         super().__init__()
-        self.in_keys = [*actor.in_keys, "is_init"]
+        self.in_keys = [*actor.in_keys, "is_init", *(["position"] if settings.heirs else [])]
         self.out_keys = ["action"]
         self.actor = actor
         self.settings = settings
@@ -158,7 +208,7 @@ class Explorer(TensorDictModuleBase):
                 f"exploration.warmup must be uniform, got rhythmic: {robot.model.nu - len(robot.actuated)} of the "
                 f"{robot.model.nu} actions move no joint, and only joints have a mirror image."
             )
-        self.rhythm = Rhythm(robot, num_robots, settings.frequency, control_dt) if rhythmic else None
+        self.rhythm = Rhythm(robot, num_robots, settings.frequency, control_dt, settings.heirs) if rhythmic else None
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.register_buffer("held", torch.zeros(num_robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
@@ -178,7 +228,7 @@ class Explorer(TensorDictModuleBase):
         """Write the next action of every robot."""
         robots = len(self.held)
         if self.warming_up:
-            tensordict.set("action", self._warmup(tensordict.get("is_init").reshape(-1)))
+            tensordict.set("action", self._warmup(tensordict))
         else:
             # Robots are on the CPU; the actor may be elsewhere.
             device = next(self.actor.parameters()).device
@@ -197,9 +247,10 @@ class Explorer(TensorDictModuleBase):
         self.wander = memory * self.wander + (1 - memory**2).sqrt() * torch.randn_like(self.wander)
         return self.wander
 
-    def _warmup(self, is_init: Tensor) -> Tensor:
+    def _warmup(self, tensordict: TensorDictBase) -> Tensor:
         if self.rhythm is not None:
-            return self.rhythm(is_init)
+            position = tensordict.get("position").reshape(-1) if self.settings.heirs else None
+            return self.rhythm(tensordict.get("is_init").reshape(-1), position)
         if (int(self.frames) // len(self.held)) % self.settings.hold == 0:
             self.held.uniform_(-1.0, 1.0)
         return self.held.clone()

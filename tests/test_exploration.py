@@ -135,6 +135,61 @@ def test_only_robots_whose_episode_begins_draw_a_new_gait(robot, actor, still):
         assert torch.equal(changed, start), name
 
 
+def evolving(robot, robots=64):
+    torch.manual_seed(0)
+    rhythm = Rhythm(robot, robots, (1.2, 2.4), DT, heirs=1.0)
+    everyone, nobody = torch.ones(robots, dtype=torch.bool), torch.zeros(robots, dtype=torch.bool)
+    rhythm(everyone, torch.zeros(robots))
+    return rhythm, everyone, nobody
+
+
+def test_heirs_are_near_the_gaits_that_got_farthest(robot):
+    rhythm, everyone, nobody = evolving(robot)
+    far = torch.arange(64) >= 48
+    parents = {name: getattr(rhythm, name)[far].clone() for name in rhythm.MUTATION}
+    rhythm(nobody, torch.where(far, 3.0, 0.1))
+    rhythm(everyone, torch.zeros(64))  # all begin anew; the start of an episode is no distance walked
+    distance = sum(
+        ((getattr(rhythm, name)[:, None] - parents[name][None]) / size).square().reshape(64, 16, -1).mean(-1)
+        for name, size in rhythm.MUTATION.items()
+    )
+    # Four rivals, a quarter of all robots far: 1 - (3/4)^4 = 0.68 of the heirs descend from those.
+    assert float((distance.min(dim=1).values < 12.0).float().mean()) == pytest.approx(0.68, abs=0.15)
+    assert (rhythm.amplitude >= 0.1).all() and (rhythm.amplitude <= 1.0).all()
+    assert (rhythm.frequency >= 1.2).all() and (rhythm.frequency <= 2.4).all()
+
+
+def test_heirs_alternate_too(robot, still):
+    rhythm, everyone, nobody = evolving(robot)
+    for _ in range(20):
+        rhythm(nobody, torch.rand(64))
+        rhythm(everyone, torch.zeros(64))
+    other = torch.from_numpy(robot.action_mirror[0])
+    torch.testing.assert_close((rhythm.phase - rhythm.phase[:, other]).abs(), torch.full((64, 6), 0.5))
+    torch.testing.assert_close(rhythm.offset, rhythm.offset[:, other])
+    torch.testing.assert_close(rhythm.amplitude, rhythm.amplitude[:, other])
+
+
+def test_only_the_farthest_is_remembered(robot):
+    rhythm, _, nobody = evolving(robot)
+    rhythm(nobody, torch.full((64,), 2.0))
+    best = rhythm.best_phase.clone()
+    rhythm.draw(~nobody)
+    rhythm(nobody, torch.full((64,), 1.0))
+    assert torch.equal(rhythm.best_phase, best) and (rhythm.farthest == 2.0).all()
+
+
+def test_without_heirs_nothing_is_drawn_besides(robot):
+    """So that the seeds of other trainings keep their meaning."""
+    torch.manual_seed(0)
+    plain = Rhythm(robot, 4, (1.2, 2.4), DT)
+    plain(torch.ones(4, dtype=torch.bool))
+    drawn = torch.rand(1)
+    torch.manual_seed(0)
+    torch.rand(4, 6), torch.rand(4, 6), torch.rand(4, 6), torch.rand(4), torch.randn(4, 6)
+    assert torch.equal(torch.rand(1), drawn) and "farthest" not in plain.state_dict()
+
+
 def test_noise_on_the_rhythm(robot, monkeypatch):
     monkeypatch.setattr(Rhythm, "AMPLITUDE", (0.0, 0.0))
     monkeypatch.setattr(Rhythm, "OFFSET", 0.0)
@@ -212,6 +267,8 @@ def test_it_is_the_live_actor_that_acts(robot, actor):
         ("frequency", (2.0, 1.0)),
         ("frequency", (1.0,)),
         ("noise_time", -0.1),
+        ("heirs", -0.1),
+        ("heirs", 1.1),
         ("noise", (0.0, 0.1)),
         ("noise", (0.2, 0.1)),
         ("noise", (0.1, 0.2, 0.3)),

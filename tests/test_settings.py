@@ -241,6 +241,7 @@ BAD = {
     "algo.learning_rate": 0.0, "algo.tau": 1.5, "algo.gamma": 1.0, "algo.policy_delay": 0, "algo.policy_noise": -0.2,
     "network.graph_layers": [0], "network.hidden": [],
     "exploration.warmup_frames": -1, "exploration.hold": 0, "exploration.frequency": [2.0, 1.0],
+    "exploration.heirs": 1.5,
     "exploration.noise": [0.0, 0.1], "replay.capacity": 0, "replay.batch_size": 0, "replay.n_step": 0,
     "evaluation.every": 0, "evaluation.episodes": 0, "evaluation.seed": -1, "robot.graph_seed": -1,
     "stop_when.evaluations": 0,
