@@ -8,6 +8,7 @@ import os
 import re
 import sys
 from collections.abc import Callable
+from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -128,13 +129,19 @@ def explain(error: Exception, config: str) -> str:
     return f"Unknown key {key!r}.{suggest(key, keys)}{accepted}"
 
 
+def _chooses(argument: str) -> bool:
+    """Whether it is about a group. To compose takes long, and other arguments add no keys."""
+    group = re.split("[=@]", argument.lstrip("+~"), maxsplit=1)[0]
+    return group.isidentifier() and resources.files(CONF).joinpath(group).is_dir()
+
+
 def _known_keys(config: str, arguments: list[str]) -> list[str]:
-    """Every key of the configuration, under those of the arguments that are sound by themselves (groups above all)."""
+    """Every key of the configuration, under those of the arguments that choose an option and are sound."""
     GlobalHydra.instance().clear()
     with initialize_config_module(CONF, version_base="1.3"):
         composed = compose(config)
         sound: list[str] = []
-        for argument in arguments:
+        for argument in filter(_chooses, arguments):
             with contextlib.suppress(*_USER_ERRORS):
                 composed = compose(config, [*sound, argument])
                 sound.append(argument)

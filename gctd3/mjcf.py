@@ -81,7 +81,11 @@ def load_mjcf(source: str | Path | mujoco.MjModel | mujoco.MjSpec) -> tuple[mujo
     try:
         if isinstance(source, mujoco.MjSpec):
             return source.compile(), file
-        return mujoco.MjModel.from_xml_path(str(file)), file
+        model = mujoco.MjModel.from_xml_path(str(file))
+        bytes(model.names).decode()
+        return model, file
+    except UnicodeDecodeError as error:
+        raise RobotError(f"{file} has a name that is not UTF-8: {error}") from error
     except ValueError as error:
         raise RobotError(f"{file} is not an MJCF that MuJoCo can compile: {error}") from error
 

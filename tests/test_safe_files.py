@@ -48,8 +48,7 @@ def test_the_evil_files_are_evil(tmp_path):
     assert marker.exists()
 
 
-@pytest.mark.parametrize("sealed", [False, True])
-def test_nothing_of_a_run_is_executed(tmp_path, capsys, run, sealed):
+def test_nothing_of_a_run_is_executed(tmp_path, capsys, run):
     """Even with the checksums that belong to it."""
     marker = tmp_path / "marker"
     files = [path.relative_to(run) for path in run.rglob("*") if path.is_file() and path.name != ".lock"]
@@ -58,13 +57,16 @@ def test_nothing_of_a_run_is_executed(tmp_path, capsys, run, sealed):
         for file in files:
             broken = Path(shutil.copytree(run, tmp_path / "broken"))
             shutil.copy(evil, broken / file)
-            if sealed and file.suffix == ".safetensors":
+            if file.suffix == ".safetensors":
                 seal(broken)
                 with pytest.raises(RunError, match=re.escape(str(broken / file))):
                     load_tree(broken / file)
             capsys.readouterr()
-            for code in (command("evaluate", f"run={broken}", "episodes=1"), command("train", f"resume={broken}")):
-                assert code in (0, 2)
+            judged = "best-" in str(file) or file.name == "config.yaml"
+            code = (
+                command("evaluate", f"run={broken}", "episodes=1") if judged else command("train", f"resume={broken}")
+            )
+            assert code == 2
             assert "Traceback" not in capsys.readouterr().err
             if file.name in ("policy.safetensors", "config.yaml"):
                 with pytest.raises(RunError, match=re.escape(str(broken))):
@@ -86,7 +88,7 @@ def seal(run):
 def test_nothing_in_the_library_could():
     """No way to run what a file holds is used anywhere."""
     forbidden = r"\b(pickle|cPickle|dill|joblib|marshal|shelve|torch\.load|torch\.jit\.load|unsafe_load|full_load)\b"
-    yaml_load = r"\byaml\.(load|load_all|unsafe\w*)\b(?!.*SafeLoader)|\b(eval|exec)\("
+    yaml_load = r"\byaml\.(load|load_all|unsafe\w*)\b(?!.*SafeLoader)|(?<!\.)\b(eval|exec)\("
     sources = [*Path(gctd3.__file__).parent.rglob("*.py")]
     assert len(sources) > 30
     for source in sources:
