@@ -17,7 +17,7 @@ from gctd3.errors import ConfigError, NumericalError
 from gctd3.robot import Robot
 
 ENDS = ("fall", "long_contact", "stuck_hip")
-SHAPED = Reward(antiphase=0.3, single_support=0.2, overspeed=0.5, air_time=2.0)
+SHAPED = Reward(antiphase=0.3, single_support=0.2, overspeed=0.5, short_swing=2.0, long_swing=2.0)
 
 
 def started(task, n, seed=0, threads=1):

@@ -187,16 +187,24 @@ def test_shaping_of_one_step(robot):
         (10, (True, False), 2.0 * (0.25 - 0.20)),
         (5, (True, False), 2.0 * (0.25 - 0.10)),
         (15, (True, False), 0.0),
-        (30, (True, False), 2.0 * (0.60 - 0.35)),
+        (30, (True, False), 3.0 * (0.60 - 0.35)),
         (10, (True, True), 2 * 2.0 * (0.25 - 0.20)),
     ],
 )
 def test_a_time_in_the_air_out_of_bounds_costs_at_touchdown(robot, steps_in_air, landing, cost):
-    task = WalkingTask(robot, Reward(air_time=2.0, air_time_least=0.25, air_time_most=0.35))
+    task = WalkingTask(robot, Reward(short_swing=2.0, long_swing=3.0, swing_least=0.25, swing_most=0.35))
     down, up = sense(feet=(True, True)), sense(feet=(False, False))
     _, outcomes = walk(task, down, *[up] * steps_in_air, sense(feet=landing), sense(feet=landing))
-    paid = [float(o.terms["air_time"]) for o in outcomes]
+    paid = [float(o.terms["swing"]) for o in outcomes]
     assert paid == pytest.approx([0.0] * steps_in_air + [-cost, 0.0])
+
+
+def test_short_flights_can_be_free(robot):
+    task = WalkingTask(robot, Reward(flight=2.0, flight_free=2))
+    up, down = sense(feet=(False, False)), sense(feet=(True, False))
+    _, outcomes = walk(task, down, up, up, up, up, down)
+    # One to four of the last five frames in flight, then still four.
+    assert [float(o.terms["flight"]) for o in outcomes] == pytest.approx([0.0, 0.0, -2.0, -4.0, -4.0])
 
 
 def test_measure_reads_the_simulator(task):
@@ -231,7 +239,7 @@ def test_counters(task):
     assert task.counters(progress) == pytest.approx(np.array([-1 / 40, 1 / 40, -1 / 50, 1 / 50]))
 
 
-SHAPED = Reward(antiphase=0.3, single_support=0.2, overspeed=0.5, air_time=2.0)
+SHAPED = Reward(antiphase=0.3, single_support=0.2, overspeed=0.5, short_swing=2.0, long_swing=2.0)
 SEEDS = st.integers(0, 2**32 - 1)
 
 

@@ -273,7 +273,7 @@ class WalkingTask:
         feet = after.feet_down.sum(axis=-1)
         target = np.where(feet == 1, w.height_single, w.height_double)
         off_height = np.where(feet > 0, np.abs(after.heights - target), 0.0).sum(axis=-1)
-        in_flight = (feet == 0).sum(axis=-1)
+        in_flight = np.maximum((feet == 0).sum(axis=-1) - w.flight_free, 0)
         terms = {
             "velocity": np.minimum(now.velocity, w.target_velocity),
             "progress": w.progress * (after.positions[..., -1] - after.positions[..., 0]),
@@ -291,11 +291,12 @@ class WalkingTask:
             terms["single_support"] = w.single_support * (feet[..., -1] == 1)
         if w.overspeed:
             terms["overspeed"] = -w.overspeed * np.maximum(now.velocity - w.overspeed_from, 0.0)
-        if w.air_time:
+        if w.short_swing or w.long_swing:
             in_air = before.air_steps * self.control_dt
-            off = np.maximum(w.air_time_least - in_air, 0.0) + np.maximum(in_air - w.air_time_most, 0.0)
+            short, long = np.maximum(w.swing_least - in_air, 0.0), np.maximum(in_air - w.swing_most, 0.0)
             touchdown = now.feet_down & (before.air_steps > 0)
-            terms["air_time"] = -w.air_time * np.where(touchdown, off, 0.0).sum(axis=-1)
+            cost = w.short_swing * short + w.long_swing * long
+            terms["swing"] = -np.where(touchdown, cost, 0.0).sum(axis=-1)
         if w.tilt:
             terms["tilt"] = -w.tilt * now.tilt
         for name, weight in (("yaw", w.heading), ("side", w.off_line)):

@@ -24,6 +24,7 @@ class Reward:
         height_double: Target height with both feet down (m from standing).
         frames: Stacked frames over which height and flight are summed.
         flight: Punishment for each stacked frame with no foot down.
+        flight_free: Stacked frames with no foot down that cost nothing.
         living: Punishment for each step.
         fall: Punishment for falling.
         long_contact: Punishment for a foot that stays down too long.
@@ -32,11 +33,11 @@ class Reward:
         single_support: Shaping: bonus for each step with exactly one foot down.
         overspeed: Shaping: punishment per m/s above ``overspeed_from`` (s/m).
         overspeed_from: Forward velocity from which ``overspeed`` counts (m/s).
-        air_time: Shaping: punishment at a foot's touchdown per second that it was in the air for less than
-            ``air_time_least`` or more than ``air_time_most`` (1/s); after ``feet_air_time`` of Rudin et al. 2022
-            (arXiv:2109.11978), which pays for any longer time.
-        air_time_least: Shortest time in the air that costs nothing (s).
-        air_time_most: Longest time in the air that costs nothing (s).
+        short_swing: Shaping: punishment at a foot's touchdown per second that it was less than ``swing_least`` in the
+            air (1/s); after ``feet_air_time`` of Rudin et al. 2022 (arXiv:2109.11978), which pays for longer times.
+        long_swing: Shaping: the same per second that it was more than ``swing_most`` in the air (1/s).
+        swing_least: Shortest time in the air that costs nothing (s).
+        swing_most: Longest time in the air that costs nothing (s).
         tilt: Shaping: punishment per radian between the body's vertical and the world's (1/rad).
         heading: Shaping, for a base that can turn: punishment per radian off the forward axis (1/rad).
         off_line: Shaping, for a base that can move sideways: punishment per metre off the straight line (1/m).
@@ -50,6 +51,7 @@ class Reward:
     height_double: float = -0.025
     frames: int = 5
     flight: float = 0.01
+    flight_free: int = 0
     living: float = 0.1
     fall: float = 10.0
     long_contact: float = 1.0
@@ -58,19 +60,21 @@ class Reward:
     single_support: float = 0.0
     overspeed: float = 0.0
     overspeed_from: float = 1.2
-    air_time: float = 0.0
-    air_time_least: float = 0.3
-    air_time_most: float = 0.4
+    short_swing: float = 0.0
+    long_swing: float = 0.0
+    swing_least: float = 0.3
+    swing_most: float = 0.4
     tilt: float = 0.0
     heading: float = 0.0
     off_line: float = 0.0
 
     def __post_init__(self) -> None:
         check_between(self, 1, 1000, "progress_steps", "frames")
-        if not 0 <= self.air_time_least <= self.air_time_most:
+        check_between(self, 0, 1000, "flight_free")
+        if not 0 <= self.swing_least <= self.swing_most:
             raise ConfigError(
-                "air_time_least must be at least 0 s and at most air_time_most, "
-                f"got {self.air_time_least} and {self.air_time_most}."
+                "swing_least must be at least 0 s and at most swing_most, "
+                f"got {self.swing_least} and {self.swing_most}."
             )
 
 
