@@ -51,11 +51,11 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
         sys.stderr.close()
     except _USER_ERRORS as error:
         _fail(explain(error, config))
-    except (TypeError, ValueError) as error:
+    except (AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         # Hydra's own, of a group given a value that is no option; what the task raises is not for here.
         if GlobalHydra.instance().is_initialized():
             raise
-        _fail(f"The arguments cannot be combined: {error}")
+        _fail(f"The arguments cannot be combined: {error or type(error).__name__}")
 
 
 def _robot_file(argument: str) -> str:

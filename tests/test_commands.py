@@ -70,6 +70,7 @@ WRONG = {
     "robot.name=nowhere.xml": ["nowhere.xml"],
     "seed=[": ["seed=["],
     "seed=99999999999": ["seed must be", "below 2^32", "99999999999"],
+    "+=[]": ["cannot be combined"],
     "algo=null": ["cannot be combined"],
     "evaluation.episodes=100000000000": ["evaluation.episodes must be at most 100,000"],
 }
