@@ -266,7 +266,7 @@ def _shared(first: str, second: str) -> str:
 
 
 def _few_ticks(ax: Axes) -> None:
-    ax.xaxis.set_major_locator(MaxNLocator(2, steps=[1, 5, 10]))
+    ax.xaxis.set_major_locator(MaxNLocator(2, min_n_ticks=1))
     ax.yaxis.set_major_locator(MaxNLocator(3))
     ax.tick_params(labelsize=8)
 
