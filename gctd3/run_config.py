@@ -103,7 +103,7 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
     ]
     if not new:
         return config, first
-    before, after = _flat(compose(root, first)), _flat(compose(root, [*first, *new]))
+    before, after = flat(compose(root, first)), flat(compose(root, [*first, *new]))
     difference = {key: after.get(key) for key in {*before, *after} if before.get(key) != after.get(key)}
     forbidden = sorted(key for key in difference if not _harmless(key))
     if forbidden:
@@ -121,13 +121,13 @@ def _harmless(key: str) -> bool:
     return any(key == name or key.startswith(f"{name}.") for name in HARMLESS)
 
 
-def _flat(config: DictConfig, prefix: str = "") -> dict[str, object]:
+def flat(config: DictConfig, prefix: str = "") -> dict[str, object]:
     """Values by their dotted path; lists count as values."""
     found: dict[str, object] = {}
     for key in map(str, config):
         node = config._get_node(key)
         if isinstance(node, DictConfig) and not node._is_none():
-            found |= _flat(node, f"{prefix}{key}.")
+            found |= flat(node, f"{prefix}{key}.")
         else:
             value = config[key]
             found[f"{prefix}{key}"] = OmegaConf.to_container(value) if OmegaConf.is_config(value) else value

@@ -146,20 +146,23 @@ def made_up(robot, period=30, duty=0.6, lag=15, steps=700, speed=1.0, left_extra
     other = phase - lag / period
     right, left = 0.4 * np.sin(2 * np.pi * phase), 0.4 * np.sin(2 * np.pi * other) + left_extra
     angles = np.stack([right if "right" in joint.name else left for joint in robot.joints], axis=1)
-    feet = np.stack([time % period < duty * period, (time - lag) % period < duty * period], axis=1)
+    down = {"right": time % period < duty * period, "left": (time - lag) % period < duty * period}
+    feet = np.stack([down["right" if "right" in foot else "left"] for foot in robot.feet], axis=1)
+    count = len(robot.actuated)
     motion = Motion(
-        action=np.stack([0.5 * np.sin(2 * np.pi * phase)] * 6, axis=1),
+        action=np.stack([0.5 * np.sin(2 * np.pi * phase)] * count, axis=1),
         angles=angles,
         velocities=np.gradient(angles, DT, axis=0),
         velocity=np.full(steps, speed),
         state=np.concatenate([angles, np.gradient(angles, DT, axis=0)], axis=1),
         work=np.tile([2.0, 1.5], (steps, 1)),
-        saturated=np.tile([0.25, 0, 0, 0, 0, 0.5], (steps, 1)),
+        saturated=np.tile([0.25, *[0] * (count - 2), 0.5], (steps, 1)),
         sole_height=np.where(feet, 0.0, 0.04),
         sole_speed=np.where(feet, 0.01, 2.0),
     )
     position = speed * DT * (time + 1)
-    return Episode(np.ones(steps), position, np.zeros(steps), angles[:, [0, 3]], feet, True, ((0, 1),), motion)
+    pairs = tuple((i, other) for i, other in enumerate(robot.mirror_feet) if i < other)
+    return Episode(np.ones(steps), position, np.zeros(steps), np.where(feet, 0.1, 0.0), feet, True, pairs, motion)
 
 
 def test_the_metrics_of_a_made_up_walk(robot):
@@ -184,6 +187,16 @@ def test_the_metrics_of_a_made_up_walk(robot):
     step = 2 * math.sin(math.pi / 30)
     assert found["action_rate"] == pytest.approx(0.5 / math.sqrt(2) * step / DT, rel=0.01)
     assert found["action_jerk"] == pytest.approx(0.5 / math.sqrt(2) * (step / DT) ** 3, rel=0.01)
+
+
+def test_four_legs_are_judged_in_pairs():
+    quadruped = Robot.from_mjcf("quadruped")
+    found = summarize([made_up(quadruped)], quadruped, DT)
+    assert found["strides"] == 2 * (16 + 15)
+    assert found["phase_offset"] == pytest.approx(0.5) and found["duty_factor"] == pytest.approx(0.6)
+    asymmetry = {key: value for key, value in found.items() if key.startswith("asymmetry_")}
+    assert len(asymmetry) == len(quadruped.joints) / 2
+    assert max(asymmetry.values()) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_limp_is_seen(robot):

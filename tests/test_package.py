@@ -40,6 +40,8 @@ STAGES = [
     "interrupt run_log",
     "trainer",
     "train",
+    "reporting.runs reporting.statistics reporting.verdict reporting.figures reporting.tables reporting.page reporting",
+    "report",
 ]
 ORDER = [name for stage in STAGES for name in stage.split()]
 HEAVY = ("hydra", "dm_control", "torch", "torchrl", "mujoco")

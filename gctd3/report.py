@@ -1,0 +1,172 @@
+"""Compare runs in one page: ``python -m gctd3.report runs=DIR out=DIR``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig
+
+import gctd3
+from gctd3.cli import command
+from gctd3.errors import ConfigError, RunError, check_seed
+from gctd3.files import write_text
+from gctd3.reporting.runs import Run, check_together, evaluated, find_runs, groups_of
+from gctd3.robot import Robot
+from gctd3.settings import build
+
+if TYPE_CHECKING:
+    from gctd3.reporting.figures import Gallery
+
+PAGE = "index.html"
+NEEDED = ("rliable", "matplotlib")
+
+
+@dataclass(frozen=True)
+class ReportSettings:
+    """What ``gctd3.report`` is asked to do.
+
+    Attributes:
+        runs: Directory below which the runs are.
+        out: Directory to write to.
+        episodes: Of the evaluation of runs that have none.
+        seed: Of its starts.
+        threads: That simulate; all cores if ``None``.
+    """
+
+    runs: str
+    out: str
+    episodes: int = 50
+    seed: int = 10_000
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.episodes < 1:
+            raise ConfigError(f"episodes must be at least 1, got {self.episodes}.")
+        check_seed("seed", self.seed)
+
+
+def report(settings: ReportSettings) -> Path:
+    """Read the runs, evaluate those that have no evaluation, and write the page, its figures and its tables.
+
+    Returns:
+        The page.
+
+    Raises:
+        ConfigError: If a package is missing.
+        RunError: If there are no runs, they do not belong together, or none has a policy.
+    """
+    missing = [package for package in NEEDED if find_spec(package) is None]
+    if missing:
+        raise ConfigError(f"report needs {', '.join(missing)}: pip install 'gctd3[report]'.")
+    runs = find_runs(Path(settings.runs))
+    check_together(runs)
+    runs = evaluated(runs, settings.episodes, settings.seed, settings.threads)
+    if all(run.evaluation is None for run in runs):
+        raise RunError(f"None of the {len(runs)} runs below {settings.runs} could be evaluated: {runs[0].failure}")
+    return write(groups_of(runs), Path(settings.out))
+
+
+def write(groups: Mapping[str, Sequence[Run]], out: Path) -> Path:
+    """Write the report of runs by group; see :func:`report`."""
+    # Imported late, so that a wrong setting is answered at once.
+    from gctd3.reporting import figures, tables
+    from gctd3.reporting.page import page
+    from gctd3.reporting.verdict import verdict
+
+    runs = [run for members in groups.values() for run in members]
+    config = runs[0].config
+    walks = "env.task" not in config
+    # From these keys alone, so that runs of other versions can be reported on as long as they have been evaluated.
+    named = [config.get(f"robot.{key}") for key in ("name", "feet", "forward")]
+    robot = Robot.from_mjcf(*named) if walks else None
+    subject = Path(str(named[0])).stem if walks else str(config["env.task"])
+    gallery = figures.Gallery(out / "figures")
+
+    learning = []
+    axes = (("frames", "frames, thousands", 1000.0), ("wall_s", "wall-clock, minutes", 60.0))
+    for x, label, scale in (*axes, ("train_episodes", "training episodes", 1.0)):
+        figure = figures.curves(groups, x, label, scale)
+        if figure is not None:
+            caption = (
+                "Interquartile mean over seeds (their number in brackets) and its 95 % bootstrap interval; a dot where "
+                "a run ended, whose last value stands from there on."
+            )
+            learning.append(gallery.add(figure, f"curve_{x}", f"Return over {label}", caption))
+
+    compared = [
+        gallery.add(
+            figures.performance(groups),
+            "performance_profile",
+            "Performance profile",
+            "For each return, the share of runs that do better, with its 95 % interval.",
+        )
+    ]
+    chances = figures.improvements(groups)
+    if chances is not None:
+        caption = "With its 95 % interval; at 0.5, dashed, neither is ahead."
+        compared.append(gallery.add(chances, "improvement", "Probability of improvement", caption))
+
+    if any(figures.typical(members) for members in groups.values()):
+        caption = "Of the typical episode of the run whose return is its group's median."
+        compared.append(gallery.add(figures.body_height(groups), "body_height", "Body height", caption))
+
+    table5 = tables.table5(groups, robot, walks and named[0] == "biped")
+    sections: list[tuple[str, list[object]]] = [
+        ("Learning", [*learning]),
+        ("Table 5", [table5, *compared]),
+        ("Gait", [tables.gaits(groups), *(_traces(groups, robot, gallery) if robot is not None else [])]),
+        ("Runs", [tables.runs_table(groups)]),
+        ("Settings", [tables.settings_table(groups)] if len(groups) > 1 else []),
+    ]
+    for _, things in sections:
+        for thing in things:
+            if isinstance(thing, tables.Table):
+                (out / "tables").mkdir(parents=True, exist_ok=True)
+                write_text(out / "tables" / f"{thing.name}.csv", thing.csv())
+    sentences = verdict(groups)
+    about = f"{len(runs)} runs in {len(groups)} group{'s' * (len(groups) != 1)}, gctd3 {gctd3.__version__}."
+    write_text(out / PAGE, page(f"{subject}: {', '.join(groups)}", about, sentences, sections))
+    write_text(out / "verdict.txt", "\n".join(sentences) + "\n")
+    return out / PAGE
+
+
+def _traces(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: Gallery) -> list[object]:
+    from gctd3.reporting import figures
+
+    typical = {group: run for group, runs in groups.items() if (run := figures.typical(runs)) is not None}
+    found: list[object] = []
+    paired = bool(figures.joint_pairs(robot))
+    for group, run in typical.items():
+        if run.trace is None:
+            continue
+        whose, i = f"{group}, seed {run.seed}", re.sub(r"\W+", "_", group)
+        if paired:
+            figure = figures.joint_traces(run.trace, robot)
+            found.append(gallery.add(figure, f"joints_{i}", f"{whose}: joints, right against left", "The last 3 s."))
+            figure = figures.phase_portraits(run.trace, robot)
+            caption = "Past the first third of the episode; one closed loop is a motion that repeats."
+            found.append(gallery.add(figure, f"phase_{i}", f"{whose}: phase portraits", caption))
+        figure = figures.contacts(run.trace, robot)
+        found.append(gallery.add(figure, f"contacts_{i}", f"{whose}: feet on the ground", "The last 3 s."))
+    return found
+
+
+def _task(config: DictConfig) -> None:
+    settings: ReportSettings = build(config)
+    file = report(settings)
+    print((file.parent / "verdict.txt").read_text(encoding="utf-8"))
+    print(f"Written to {file}")
+
+
+def main() -> None:
+    """Entry point of ``python -m gctd3.report``."""
+    command("report", _task)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""One page that opens from the disk, on a phone and on a screen, in light and in dark."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from html import escape
+
+from gctd3.reporting.figures import Picture
+from gctd3.reporting.tables import Table
+
+CSS = """
+:root { color-scheme: light dark; --paper: #ffffff; --ink: #1c1f24; --soft: #5c6470; --line: #d8dce2; --card: #f6f7f9; }
+@media (prefers-color-scheme: dark) {
+  :root { --paper: #14161a; --ink: #e6e8ec; --soft: #a0a8b4; --line: #343a44; --card: #1c1f25; }
+}
+* { box-sizing: border-box; }
+body { margin: 0 auto; max-width: 76rem; padding: 1rem; background: var(--paper); color: var(--ink);
+  font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, Helvetica, Arial, sans-serif; }
+h1 { font-size: 1.6rem; line-height: 1.2; margin: 0.5rem 0; }
+h2 { font-size: 1.2rem; margin: 2.2rem 0 0.6rem; }
+h3 { font-size: 1rem; margin: 0 0 0.4rem; overflow-wrap: anywhere; }
+p, figcaption, .note { color: var(--soft); margin: 0.4rem 0; }
+figcaption, .note { font-size: 0.85rem; }
+nav { font-size: 0.9rem; } nav a { color: inherit; margin-right: 0.9rem; display: inline-block; }
+ul.verdict { padding: 0.8rem 1rem 0.8rem 2rem; background: var(--card); border: 1px solid var(--line);
+  border-radius: 8px; } ul.verdict li { margin: 0.35rem 0; }
+.grid { display: grid; gap: 1rem; align-items: start;
+  grid-template-columns: repeat(auto-fit, minmax(min(100%, 21rem), 1fr)); }
+figure { margin: 0; padding: 0.8rem; background: var(--card); border: 1px solid var(--line); border-radius: 8px; }
+figure svg { display: block; width: 100%; height: auto; color: var(--ink); }
+.scroll { overflow-x: auto; border: 1px solid var(--line); border-radius: 8px; }
+table { border-collapse: collapse; width: 100%; font-size: 0.875rem; font-variant-numeric: tabular-nums; }
+small { color: var(--soft); }
+th, td { text-align: left; padding: 0.35rem 0.7rem; border-bottom: 1px solid var(--line); vertical-align: top; }
+th { background: var(--card); font-weight: 600; white-space: nowrap; } tr:last-child td { border-bottom: 0; }
+td { white-space: nowrap; } td.long { white-space: normal; min-width: 14rem; color: var(--soft); }
+td:first-child { position: sticky; left: 0; background: var(--paper); }
+@media (max-width: 40rem) { td:first-child { white-space: normal; min-width: 7.5rem; } }
+"""
+LONG = 30  # letters from which a cell may break
+
+
+def page(title: str, about: str, sentences: Sequence[str], sections: Sequence[tuple[str, Sequence[object]]]) -> str:
+    """The page's HTML.
+
+    Args:
+        title: Of the page.
+        about: A line below it.
+        sentences: The verdict.
+        sections: Heading of each, and the pictures and tables in it.
+    """
+    links = "".join(f'<a href="#{_anchor(name)}">{escape(name)}</a>' for name, things in sections if things)
+    verdict = "".join(map(_sentence, sentences))
+    body = "".join(_section(name, things) for name, things in sections if things)
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{CSS}</style></head>\n<body>"
+        f'<h1>{escape(title)}</h1><p>{escape(about)}</p><nav>{links}</nav>\n<h2 id="verdict">Verdict</h2>'
+        f'<ul class="verdict">{verdict}</ul>\n{body}</body></html>\n'
+    )
+
+
+def _section(name: str, things: Sequence[object]) -> str:
+    pictures = [thing for thing in things if isinstance(thing, Picture)]
+    tables = [thing for thing in things if isinstance(thing, Table)]
+    drawn = "".join(map(_figure, pictures))
+    grid = f'<div class="grid">{drawn}</div>' if drawn else ""
+    return f'<h2 id="{_anchor(name)}">{escape(name)}</h2>\n{"".join(map(_table, tables))}{grid}\n'
+
+
+def _figure(picture: Picture) -> str:
+    caption = f"<figcaption>{escape(picture.caption)}</figcaption>" if picture.caption else ""
+    return f"<figure><h3>{escape(picture.title)}</h3>{picture.svg}{caption}</figure>\n"
+
+
+def _table(table: Table) -> str:
+    head = "".join(f"<th>{escape(cell)}</th>" for cell in table.head)
+    rows = "".join(f"<tr>{''.join(map(_cell, row))}</tr>\n" for row in table.rows)
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(table.title)}"><table>'
+        f'<thead><tr>{head}</tr></thead><tbody>\n{rows}</tbody></table></div><p class="note">{escape(table.note)}</p>\n'
+    )
+
+
+def _cell(text: str) -> str:
+    kind = ' class="long"' if len(text) > LONG else ""
+    # An estimate, and what it ranges over below it.
+    split = re.fullmatch(r"(\S+) ([(\[].*)", text)
+    said = f"{escape(split[1])}<br><small>{escape(split[2])}</small>" if split else escape(text)
+    return f"<td{kind}>{said}</td>"
+
+
+def _sentence(text: str) -> str:
+    """A sentence with what it says in bold, and the numbers behind it plain."""
+    parts = text.split(": ", 2)
+    if len(parts) < 3:
+        return f"<li>{escape(text)}</li>"
+    return f"<li><strong>{escape(': '.join(parts[:2]))}</strong>: {escape(parts[2])}</li>"
+
+
+def _anchor(name: str) -> str:
+    return "".join(letter if letter.isalnum() else "-" for letter in name.lower())

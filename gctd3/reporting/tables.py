@@ -1,0 +1,205 @@
+"""The report's tables: the paper's Table 5 beside ours, the gaits, the runs, what their configurations differ in."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gctd3.reporting.runs import Run, differences
+from gctd3.reporting.statistics import interval
+from gctd3.reporting.verdict import scores
+from gctd3.robot import Robot
+
+# Table 5: return and its standard deviation over 50 episodes, body position (m), velocity (m/s).
+PAPER = {
+    "ddpg": (241.28, 89.44, -0.0114, 1.344),
+    "sac": (224.18, 56.96, -0.0397, 0.619),
+    "td3": (370.31, 37.26, -0.0020, 1.164),
+    "gctd3": (380.0, 18.47, -0.0202, 1.414),
+}
+# Key, name, unit, decimals, what it is.
+GAIT = (
+    ("hip_correlation", "hip correlation", "", 2, "of right and left hip angle; -1 when legs take turns"),
+    ("stride_hz", "stride frequency", "Hz", 2, "median over all touchdowns of a foot to its next"),
+    ("stride_time", "stride time", "s", 2, "median, bounces shorter than a fifth of a stride left out"),
+    ("stride_variation", "stride variation", "", 3, "standard deviation of stride times over their mean"),
+    ("regularity", "regularity", "", 3, "autocorrelation of the joint angles after a stride; 1 repeats exactly"),
+    ("duty_factor", "duty factor", "", 2, "contact time over stride time; above 0.5 it walks, below it runs"),
+    ("phase_offset", "phase offset", "", 2, "when the left foot touches down in the right one's stride; ideal 0.5"),
+    ("duty_symmetry", "duty symmetry", "%", 1, "(right - left) / mean of duty factors (Herzog 1989); ideal 0"),
+    ("step_symmetry", "step symmetry", "%", 1, "the same of the times from foot to foot; ideal 0"),
+    ("flight_fraction", "flight", "", 2, "share of time with no foot down"),
+    ("double_support_fraction", "double support", "", 2, "share of time with more than one foot down"),
+    ("foot_clearance", "foot clearance", "m", 3, "sole above the ground in the middle of a swing"),
+    ("slip_speed", "slip", "m/s", 3, "mean speed over the ground of soles that are down"),
+    ("height_rms", "height RMS", "m", 3, "of the body's height about its mean"),
+    ("froude", "Froude number", "", 2, "v² / (g L), L the hip's height when standing"),
+    ("cost_of_transport", "cost of transport", "", 2, "Σ|τω|Δt / (m g d), braking costs as driving does"),
+    ("cost_of_transport_positive", "cost of transport, positive", "", 2, "the same of driving alone"),
+    ("torque_saturation", "torque saturation", "%", 1, "share of time at the servos' limit, over all servos"),
+    ("action_rate", "action rate", "1/s", 1, "RMS of the actions' first difference over dt"),
+    ("action_jerk", "action jerk", "1/s³", 0, "RMS of their third difference over dt³"),
+    ("action_smoothness", "action smoothness", "", 4, "mean of amplitude times frequency (Mysore 2021); low is smooth"),
+    (
+        "floquet_max",
+        "largest Floquet multiplier",
+        "",
+        2,
+        "of the touchdown map, from below; under 1 is stable",
+    ),
+    ("strides", "strides used", "", 0, "of all feet and episodes; the first two of each foot are never used"),
+    ("periodic_fraction", "periodic", "", 2, "share of episodes whose strides could be judged"),
+)
+ASYMMETRY = "asymmetry_"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of texts under a head.
+
+    Attributes:
+        name: Of its file.
+        title: Above it.
+        note: Below it.
+        head: Names of the columns.
+        rows: Cells.
+    """
+
+    name: str
+    title: str
+    note: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def csv(self) -> str:
+        """As the text of a CSV file."""
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([self.head, *self.rows])
+        return text.getvalue()
+
+
+def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: bool) -> Table:
+    """Return, body position from both references, velocity and success, the paper's rows beside ours.
+
+    Args:
+        groups: The runs.
+        robot: Theirs; ``None`` of another library's task, whose body position then counts from nothing known.
+        is_biped: Whether it is the paper's robot.
+    """
+    drop = spawn_height(robot) if robot is not None else np.nan
+    rows = []
+    for group, runs in groups.items():
+        means = scores(runs, "return_mean")
+        body, speed, won = (scores(runs, key) for key in ("body_position_mean", "velocity_mean", "success_rate"))
+        rows.append(
+            [
+                group,
+                f"{len(means)} of {len(runs)}",
+                _spread(means, 1),
+                interval(means).text(1),
+                _mean(body, 4),
+                _mean([value - drop for value in body if np.isfinite(drop)], 4),
+                interval(speed).text(3),
+                _mean(won, 2),
+            ]
+        )
+        algorithm = runs[0].algorithm
+        if is_biped and algorithm in PAPER and not any(row[0] == f"paper, {algorithm.upper()}" for row in rows):
+            mean, deviation, position, velocity = PAPER[algorithm]
+            row = [f"paper, {algorithm.upper()}", "-", f"{mean} ± {deviation}", "-", "-", f"{position:.4f}"]
+            rows.append([*row, f"{velocity:.3f}", "-"])
+    return Table(
+        "table5",
+        "The paper's Table 5",
+        "Ours: mean ± standard deviation over seeds, each the mean of its episodes; IQM is the interquartile mean over "
+        "seeds with its 95 % interval. The paper's ± is over 50 episodes of one training, in another simulator: not "
+        "like for like. Its body position seems to count from the height at which the robot is dropped"
+        + (f", {drop:.4f} m above standing." if np.isfinite(drop) else "."),
+        ("", "seeds judged", "return", "return, IQM", "body from standing, m", "from spawn, m", "m/s, IQM", "success"),
+        rows,
+    )
+
+
+def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
+    """Every gait metric with its definition: mean over seeds, and the lowest and the highest."""
+    keys = sorted({key for runs in groups.values() for run in runs for key in _gait(run) if key.startswith(ASYMMETRY)})
+    meaning = "RMS against its mirror image half a stride later; 0 is symmetric"
+    joints = [(key, f"asymmetry, {key.removeprefix(ASYMMETRY).replace('_', ' ')}", "rad", 3, meaning) for key in keys]
+    rows = []
+    for key, name, unit, digits, meaning in (*GAIT, *joints):
+        cells = []
+        for runs in groups.values():
+            known = scores(runs, key)
+            without = sum(key in _gait(run) and _gait(run)[key] is None for run in runs)
+            said = _range(known, digits)
+            if without:
+                said = f"{said}; {without} not periodic" if known else "not periodic"
+            cells.append(said)
+        if any(cell != "-" for cell in cells):
+            rows.append([name, unit, *cells, meaning])
+    return Table(
+        "gait",
+        "Gaits",
+        "Over the last 10 m of the episodes that got that far: mean over seeds (lowest to highest).",
+        ("", "unit", *groups, "what it is"),
+        rows,
+    )
+
+
+def runs_table(groups: Mapping[str, Sequence[Run]]) -> Table:
+    """A row for each run: time, steps, and how it went."""
+    rows = []
+    for group, runs in groups.items():
+        for run in runs:
+            frames = f"{run.rows[-1]['frames']:,.0f}" if run.rows else "-"
+            state = run.failure or ("always finishes" if run.value("success_rate") >= 1.0 else "does not always finish")
+            cells = [_number(run.minutes, 1), _number(run.minutes_to_finish, 1), frames]
+            cells += [_number(run.value("return_mean"), 1), _number(run.value("success_rate"), 2)]
+            rows.append([group, str(run.seed), *cells, "failed: " + state if run.failure else state, run.name])
+    head = ("", "seed", "minutes", "to finish", "frames", "return", "success", "outcome", "directory")
+    note = "Minutes of wall-clock until the last evaluation, and until the first in which every episode finished."
+    return Table("runs", "Runs", note, head, rows)
+
+
+def settings_table(groups: Mapping[str, Sequence[Run]]) -> Table:
+    """Keys of the configuration in which groups differ."""
+    firsts = [runs[0] for runs in groups.values()]
+    rows = [[key, *map(str, values)] for key, values in differences(firsts).items()]
+    return Table("settings", "Where configurations differ", "The seed aside.", ("key", *groups), rows)
+
+
+def spawn_height(robot: Robot) -> float:
+    """How far above standing the robot is when an episode begins (m)."""
+    nothing = np.zeros(robot.model.nv)
+    spawn, standing = (robot.base.read(q, nothing)["height"][0] for q in (robot.model.qpos0, robot.standing_qpos))
+    return float(spawn - standing)
+
+
+def _gait(run: Run) -> Mapping[str, float | None]:
+    return (run.evaluation or {}).get("gait") or {}
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:,.{digits}f}" if np.isfinite(value) else "-"
+
+
+def _mean(values: Sequence[float], digits: int) -> str:
+    return f"{np.mean(values):.{digits}f}" if len(values) else "-"
+
+
+def _spread(values: Sequence[float], digits: int) -> str:
+    if not len(values):
+        return "-"
+    mean = f"{np.mean(values):.{digits}f}"
+    return f"{mean} ± {np.std(values, ddof=1):.{digits}f}" if len(values) > 1 else mean
+
+
+def _range(values: Sequence[float], digits: int) -> str:
+    if not len(values):
+        return "-"
+    mean = f"{np.mean(values):,.{digits}f}"
+    return f"{mean} ({min(values):,.{digits}f} to {max(values):,.{digits}f})" if len(values) > 1 else mean

@@ -1,0 +1,270 @@
+"""The report: on hand-made runs with known answers, and from tiny trainings to the page."""
+
+import csv
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+from running import command, tiny, train
+
+from gctd3.errors import RunError
+
+pytest.importorskip("rliable")
+from rliable import metrics
+
+from gctd3.report import ReportSettings, report
+from gctd3.reporting.figures import inline
+from gctd3.reporting.runs import check_together, differences, find_runs, groups_of
+from gctd3.reporting.statistics import Interval, higher, improvement, interval, intervals, iqm, profile
+from gctd3.reporting.tables import runs_table, spawn_height, table5
+from gctd3.reporting.verdict import comparison, verdict
+
+# Statistics.
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 5, 8, 10])
+def test_iqm_is_rliables(count):
+    scores = np.random.default_rng(count).normal(size=(count, 1))
+    assert iqm(scores)[0] == pytest.approx(metrics.aggregate_iqm(scores))
+
+
+def test_iqm_by_hand():
+    # Of eight the lowest two and the highest two go: (3 + 4 + 5 + 6) / 4.
+    assert interval([1, 2, 3, 4, 5, 6, 700, 800]).value == pytest.approx(4.5)
+    assert interval([5.0, np.nan]).value == 5.0 and np.isnan(interval([5.0]).low)
+    assert np.isnan(interval([]).value)
+
+
+def test_an_interval_holds_most_of_what_repetition_gives():
+    rng, inside = np.random.default_rng(0), 0
+    for _ in range(20):
+        found = interval(rng.normal(10.0, 2.0, size=10).tolist())
+        inside += found.low <= 10.0 <= found.high
+    assert 15 <= inside <= 20
+
+
+def test_numbers_of_a_run_stay_together():
+    scores = np.random.default_rng(1).normal(size=(6, 1))
+    point, ends = intervals(np.repeat(scores, 4, axis=1))
+    assert np.ptp(point) == 0 and (np.ptp(ends, axis=1) == 0).all()
+    state = np.random.get_state()[1].copy()
+    again = intervals(np.repeat(scores, 4, axis=1))
+    assert (again[1] == ends).all() and (np.random.get_state()[1] == state).all()
+
+
+def test_probability_of_improvement_by_hand():
+    # Of the pairs (1, 2) (1, 0) (3, 2) (3, 0) three are won.
+    found = improvement([1.0, 3.0], [2.0, 0.0])
+    assert found.value == 0.75 and 0.0 <= found.low <= 0.75 <= found.high <= 1.0
+    assert improvement([1.0, 1.0], [1.0, 1.0]).value == 0.5
+    x, y = np.random.default_rng(2).normal(size=(2, 7, 1))
+    assert higher(x, y)[0] == pytest.approx(metrics.probability_of_improvement(x, y))
+
+
+def test_profile_by_hand():
+    point, ends = profile([1.0, 2.0, 3.0, 4.0], np.array([0.0, 2.0, 3.5, 9.0]))
+    assert point == pytest.approx([1.0, 0.5, 0.25, 0.0])
+    assert (ends[0] <= point).all() and (point <= ends[1]).all()
+
+
+def test_texts_of_intervals():
+    assert Interval(1.25, 1.0, 2.0).text(2) == "1.25 [1.00, 2.00]"
+    assert Interval(1.25, np.nan, np.nan).text() == "1.2"
+    assert interval([]).text() == "undefined"
+
+
+# Words.
+
+
+def say(a, b):
+    return comparison("return", "", 1, "returns more", ("gctd3", a), ("td3", b))
+
+
+def test_the_verdict_claims_no_more_than_the_intervals():
+    apart = [10.0, 11.0, 12.0, 13.0, 14.0], [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert "return: gctd3 returns more: 12.0" in say(*apart) and "probability 1.00" in say(*apart)
+    assert "return: td3 returns more" in say(*reversed(apart))
+    assert "no difference shown, the intervals overlap" in say([1.0, 9.0, 3.0, 7.0, 5.0], [2.0, 8.0, 4.0, 6.0, 5.0])
+    assert "a single seed cannot show one: 9.0 (1 seed) against 1.0 (1 seed)" in say([9.0], [1.0])
+    assert "td3 has no number for it" in say([9.0, 8.0], [])
+
+
+# Runs that are made up.
+
+
+def make(root, name, returns=500.0, *, overrides=(), evaluation=True, change=None, success=1.0):
+    """A run as gctd3.train leaves it, without its policy."""
+    run = root / name
+    config = {
+        "seed": int(name[-1]),
+        "threads": int(name[-1]),
+        "robot": {"name": "biped", "feet": None, "forward": None, "graph": "tree"},
+        "env": {"_target_": "gctd3.envs.factory.EnvSettings", "control_dt": 0.02, "endings": {"fall_height": -0.1}},
+        "evaluation": {"reward": {"fall": 10.0}, "episodes": 10},
+        "algo": {"tau": 0.005},
+    }
+    for key, value in (change or {}).items():
+        *path, last = key.split(".")
+        node = config
+        for part in path:
+            node = node[part]
+        node[last] = value
+    (run / ".hydra").mkdir(parents=True)
+    (run / ".hydra" / "config.yaml").write_text(json.dumps(config))
+    (run / ".hydra" / "overrides.yaml").write_text(json.dumps(list(overrides)))
+    lines = ["frames,wall_s,return_mean,success_rate,train_episodes", f"1000,60,5.0,0.0,7\n2000,120,{returns},1.0,9\n"]
+    (run / "progress.csv").write_text("\n".join(lines))
+    if evaluation:
+        judged = {"return_mean": returns, "velocity_mean": 1.2, "success_rate": success, "body_position_mean": 0.01}
+        judged["gait"] = {"episodes": 50, "stride_hz": 1.5, "floquet_max": None, "asymmetry_hip_right": 0.02}
+        (run / "evaluation.json").write_text(json.dumps(judged))
+    return run
+
+
+@pytest.fixture
+def pair(tmp_path):
+    """Two algorithms, three seeds each."""
+    for seed in range(3):
+        make(tmp_path, f"a{seed}", 500.0 + seed)
+        make(tmp_path, f"b{seed}", 400.0 + seed, overrides=["algo=td3"], change={"algo.tau": 0.01})
+    return tmp_path
+
+
+def test_seeds_fall_into_groups(pair):
+    groups = groups_of(find_runs(pair))
+    seeds = {group: [run.seed for run in runs] for group, runs in groups.items()}
+    assert seeds == {
+        "gctd3": [0, 1, 2],
+        "td3": [0, 1, 2],
+    }
+    assert differences([runs[0] for runs in groups.values()]) == {"algo.tau": [0.005, 0.01]}
+
+
+def test_groups_of_one_algorithm_are_told_apart_by_what_differs(tmp_path):
+    make(tmp_path, "a0")
+    make(tmp_path, "b0", change={"robot.graph": "edgeless"})
+    make(tmp_path, "c0", overrides=["network=per_joint"], change={"algo.tau": 0.1})
+    assert set(groups_of(find_runs(tmp_path))) == {"gctd3 graph=tree", "gctd3 graph=edgeless", "gctd3 per_joint"}
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"robot.name": "quadruped"}, "robot, robot.name: biped in a0; quadruped in b0"),
+        ({"evaluation.reward": {"fall": 5.0}}, "evaluation reward, evaluation.reward.fall: 10.0 in a0; 5.0 in b0"),
+        ({"env.endings": {"fall_height": -0.2}}, "endings, env.endings.fall_height: -0.1 in a0; -0.2 in b0"),
+    ],
+)
+def test_runs_that_do_not_belong_together_are_refused(tmp_path, change, said):
+    make(tmp_path, "a0")
+    make(tmp_path, "b0", change=change)
+    with pytest.raises(RunError, match=re.escape(said)):
+        check_together(find_runs(tmp_path))
+
+
+def test_table5_by_hand(pair, robot):
+    table = table5(groups_of(find_runs(pair)), robot, True)
+    ours, paper = dict(zip(table.head, table.rows[0], strict=True)), table.rows[1]
+    assert ours["return"] == "501.0 ± 1.0" and ours["return, IQM"].startswith("501.0 [")
+    assert ours["seeds judged"] == "3 of 3" and ours["success"] == "1.00"
+    # The robot is dropped 0.0235 m above where it stands.
+    assert spawn_height(robot) == pytest.approx(0.0235)
+    assert ours["body from standing, m"] == "0.0100" and ours["from spawn, m"] == "-0.0135"
+    assert paper[0] == "paper, GCTD3" and "380.0 ± 18.47" in paper and "1.414" in paper and "-0.0202" in paper
+
+
+def test_failed_seeds_are_counted(tmp_path, capsys):
+    for seed in range(2):
+        make(tmp_path / "runs", f"a{seed}")
+    make(tmp_path / "runs", "a2", evaluation=False)  # it has no policy either
+    page = report(ReportSettings(str(tmp_path / "runs"), str(tmp_path / "out")))
+    text = page.read_text(encoding="utf-8")
+    assert "2 of 3 seeds reach the finish in every episode; 1 failed and have no numbers." in text
+    assert "2 of 3" in text and "failed: " in text
+    assert "evaluating" in capsys.readouterr().err
+
+
+def test_the_verdict_of_made_up_runs(pair):
+    said = "\n".join(verdict(groups_of(find_runs(pair))))
+    assert "gctd3 and td3, return: gctd3 returns more: 501.0" in said
+    assert "gctd3 and td3, velocity: no difference shown" in said
+    assert "fewer than 5 seeds" in said
+
+
+def test_minutes_of_made_up_runs(pair):
+    row = runs_table(groups_of(find_runs(pair))).rows[0]
+    assert row[:7] == ["gctd3", "0", "2.0", "2.0", "2,000", "500.0", "1.00"]
+
+
+# Wrong calls.
+
+
+def test_wrong_calls_are_answered(tmp_path, capsys):
+    def answer(*arguments):
+        assert command("report", *arguments) == 2
+        return capsys.readouterr().err
+
+    assert "No directory at" in answer(f"runs={tmp_path / 'nowhere'}")
+    assert "No runs below" in answer(f"runs={tmp_path}")
+    assert "episodes must be at least 1" in answer(f"runs={tmp_path}", "episodes=0")
+    assert "Did you mean 'runs'?" in answer(f"run={tmp_path}")
+    run = make(tmp_path, "a0")
+    (run / "evaluation.json").write_text("{")
+    assert "delete it to have the run evaluated again" in answer(f"runs={tmp_path}")
+    (run / "evaluation.json").unlink()
+    assert "None of the 1 runs" in answer(f"runs={tmp_path}")
+
+
+# The page.
+
+
+def test_inline_figures_take_the_pages_colour_and_have_ids_of_their_own():
+    svg = (
+        '<?xml version="1.0"?><svg width="9pt" viewBox="0 0 1 2" xmlns:xlink="x"><metadata>when</metadata>'
+        '<path id="p" style="fill: #010203" clip-path="url(#c)"/><use xlink:href="#p"/></svg>'
+    )
+    found = inline(svg, "fig", "A & B")
+    assert found.startswith('<svg viewBox="0 0 1 2" role="img"><title>A &amp; B</title>')
+    assert 'id="fig-p"' in found and "url(#fig-c)" in found and 'href="#fig-p"' in found
+    assert "currentColor" in found and "#010203" not in found
+
+
+def test_from_trainings_to_the_page(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for algorithm in ("gctd3", "td3"):
+        for seed in range(2):
+            train(tmp_path / "runs" / algorithm / str(seed), f"algo={algorithm}", f"seed={seed}")
+    assert command("report", "runs=runs", "out=out", "episodes=2", "threads=1") == 0
+    assert "Written to out/index.html" in capsys.readouterr().out
+    assert all((tmp_path / "runs" / a / s / "evaluation.json").is_file() for a in ("gctd3", "td3") for s in "01")
+    text = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    # Nothing is fetched from anywhere.
+    assert not re.findall(r'(?:src|href)="(?!#)', text) and "@import" not in text and "url(http" not in text
+    assert "prefers-color-scheme: dark" in text and 'name="viewport"' in text
+    ids = re.findall(r'\bid="([^"]+)"', text)
+    assert len(ids) == len(set(ids))
+    names = {file.stem for file in (tmp_path / "out" / "figures").glob("*.svg")}
+    assert names == {file.stem for file in (tmp_path / "out" / "figures").glob("*.png")}
+    assert {"curve_frames", "curve_wall_s", "curve_train_episodes", "performance_profile", "improvement"} <= names
+    assert {"body_height", "joints_gctd3", "phase_gctd3", "contacts_td3"} <= names
+    for file in (tmp_path / "out" / "figures").glob("*.svg"):
+        ElementTree.parse(file)
+    with (tmp_path / "out" / "tables" / "table5.csv").open(encoding="utf-8") as file:
+        assert [row[0] for row in csv.reader(file)] == ["", "gctd3", "paper, GCTD3", "td3", "paper, TD3"]
+    assert "no difference shown" in (tmp_path / "out" / "verdict.txt").read_text(encoding="utf-8")
+    # Again, with nothing left to evaluate: the same page.
+    assert command("report", "runs=runs", "out=again") == 0
+    assert (tmp_path / "again" / "index.html").read_text(encoding="utf-8") == text
+
+
+def test_a_report_on_another_librarys_task(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    few = ["total_frames=40", "exploration.warmup_frames=20", "evaluation.every=40", "evaluation.episodes=1"]
+    names = [item.split("=")[0] for item in few]
+    run = tmp_path / "runs" / "a"
+    arguments = tiny(run, "env=walker_walk", "env.num_envs=2", *few, without=["env.threads", "env.num_envs", *names])
+    assert command("train", *arguments) == 0
+    assert command("report", "runs=runs", "out=out", "episodes=1") == 0
+    assert "walker-walk" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
