@@ -188,7 +188,7 @@ def test_feet_by_name_of_a_geom_or_body():
     assert Robot.from_mjcf(model, feet=["toe_a"]).feet == ("a",)
     graph = KinematicGraph.from_mjcf(model, feet=["a", "arm"])
     assert {edge for edge in graph.edges if "ground" in edge} == {("lift", "ground"), ("wrist", "ground")}
-    with pytest.raises(RobotError, match="no body ball; its bodies are trunk, a, body_3, arm"):
+    with pytest.raises(RobotError, match=r"no body 'ball'\. Its bodies are trunk, a, body_3, arm"):
         Robot.from_mjcf(model, feet=["ball"])
 
 

@@ -42,6 +42,7 @@ def test_specs_hold_before_the_first_reset(task):
         "counters": ((4,), np.float32),
         "position": ((1,), np.float32),
         "success": ((1,), bool),
+        "diverged": ((1,), bool),
     }
     action = env.action_spec()
     assert (action.shape, action.dtype) == ((6,), np.float64)
@@ -65,7 +66,7 @@ def test_every_time_step_is_as_specified(task, env):
 
 def test_no_element_of_the_observation_is_constant(task):
     steps = trajectory(task, seed=0, steps=500)
-    for name in set(steps[0].observation) - {"success"}:  # nobody walks 15 m by chance
+    for name in set(steps[0].observation) - {"success", "diverged"}:  # nobody walks 15 m by chance
         values = np.stack([step.observation[name] for step in steps])
         assert (np.ptp(values, axis=0) > 0).all(), name
 
