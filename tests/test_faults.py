@@ -12,6 +12,7 @@ from gctd3.checkpoint import Checkpoints
 from gctd3.envs import dmc
 from gctd3.envs.check import CheckStep
 from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.envs.gait import WalkingTask
 from gctd3.envs.reward import Reward
 from gctd3.envs.simulation import BEGINNING, Simulation, Start
 from gctd3.errors import NumericalError
@@ -210,9 +211,11 @@ def test_what_the_check_finds_is_kept(tmp_path, capsys):
 # Simulations that diverge.
 
 
+@pytest.mark.parametrize("control_dt", [0.02, 0.005])  # 0.005: one physics step, after which the clock is as without
 @pytest.mark.parametrize("age", [0, 7])
-def test_a_batched_robot_that_explodes_falls_alone(task, age, tmp_path, monkeypatch):
+def test_a_batched_robot_that_explodes_falls_alone(robot, age, control_dt, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    task = WalkingTask(robot, control_dt=control_dt)
     good, bad = (Simulation(task, 4, Start(), seed=0, threads=2) for _ in range(2))
     actions = np.random.default_rng(0).uniform(-1, 1, (age + 3, 4, 6))
     for simulation in (good, bad):
