@@ -296,7 +296,7 @@ def test_missing_files_and_unknown_names(tmp_path, robot):
         Robot.from_mjcf(tmp_path / "none.xml")
     with pytest.raises(RobotError, match=r"'centipede'.*biped"):
         Robot.from_mjcf("centipede")
-    with pytest.raises(RobotError, match=r"biped\.xml has no body toe; its bodies are .*foot_left"):
+    with pytest.raises(RobotError, match=r"biped\.xml has no body 'toe'.*ts bodies are .*foot_left"):
         Robot.from_mjcf("biped", feet=["toe"])
     with pytest.raises(RobotError, match=r"biped\.xml has no joint 'toe'; it has hip_right"):
         robot.joint("toe")
