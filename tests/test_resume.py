@@ -228,6 +228,22 @@ def test_a_signal_finishes_the_step_and_says_how_to_go_on(tmp_path, number, code
     assert int(rows(run)[-1]["frames"]) == 4000
 
 
+def test_a_second_signal_leaves_at_once(tmp_path):
+    run = tmp_path / "run"
+    # Steps of minutes, so that the first signal alone would not end it soon.
+    running = start(run, *LONG, "updates=100_000")
+    wait_for(lambda: (run / ".hydra" / "config.yaml").exists())
+    time.sleep(2.0)
+    running.send_signal(signal.SIGINT)
+    time.sleep(0.5)
+    assert running.poll() is None
+    running.send_signal(signal.SIGINT)
+    out, error = running.communicate(timeout=10)
+    assert running.returncode == -signal.SIGINT
+    assert "once more leaves at once" in out
+    assert "Traceback" not in error
+
+
 def test_a_second_training_in_the_directory_is_refused(tmp_path):
     run = tmp_path / "run"
     running = start(run, *LONG, "total_frames=400_000", "evaluation.every=400_000")
