@@ -140,6 +140,19 @@ def test_the_csv_logger_goes_back_to_the_checkpoint(tmp_path):
             assert (part / "csv" / file).read_text() == (whole / "csv" / file).read_text(), file
 
 
+def test_tensorboard_goes_back_to_the_checkpoint(tmp_path):
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    part = stopped(tmp_path / "part", 96, "logger=tensorboard")
+    shutil.copytree(part / "checkpoints", tmp_path / "kept")
+    for _ in range(2):
+        shutil.rmtree(part / "checkpoints")
+        shutil.copytree(tmp_path / "kept", part / "checkpoints")
+        assert command("train", f"resume={part}") == 0
+    (folder,) = {file.parent for file in part.rglob("events*")}
+    events = accumulator.EventAccumulator(str(folder)).Reload()
+    assert [event.step for event in events.Scalars("evaluation/return_mean")] == [80, 160, 240]
+
+
 @pytest.mark.parametrize("missing", ["", "empty"])
 def test_no_run_to_resume(tmp_path, capsys, missing):
     if missing:
