@@ -47,7 +47,7 @@ class Counters:
         diverged: Episodes that ended because the simulation did not stay finite.
         in_a_row: Evaluations in a row that met all conditions.
         next_evaluation: Frames at which the next one is due.
-        wall_s: Seconds spent, in all sessions together.
+        wall_s: Seconds spent, before and after every resumption together.
     """
 
     frames: int = 0
