@@ -25,7 +25,6 @@ from gctd3.files import (
     check_file,
     load_tree,
     new_directory,
-    new_file,
     read_manifest,
     save_tree,
     write_manifest,
@@ -150,8 +149,13 @@ class Checkpoints:
         start = parts[-1]["stop"] if parts else oldest
         if start < buffer.total:
             name = f"rows-{start:012d}-{buffer.total:012d}.safetensors"
-            with new_file(folder / name) as aside:
+            aside = folder / f".{name}.tmp"
+            try:
                 seal = save_tree(aside, buffer.rows_between(start, buffer.total))
+                aside.replace(folder / name)
+            except BaseException:
+                aside.unlink(missing_ok=True)
+                raise
             parts.append({"file": name, "start": start, "stop": buffer.total, "sha256": seal})
         return parts
 
@@ -234,7 +238,5 @@ def fit(path: Path, load: Callable[[], object]) -> None:
     """Call ``load``; what a file holds that does not fit is a :class:`RunError` that names the file."""
     try:
         load()
-    except RunError:
-        raise
     except (RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
         raise RunError(f"{path} does not fit the run's configuration: {error}") from error

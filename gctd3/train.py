@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
 from pathlib import Path
 
@@ -29,13 +28,12 @@ def train(config: DictConfig) -> None:
     if resumed:
         config, overrides = changed(run, "config", overrides)
     settings = build(config)
-    stop = StopRequest()
-    with stop.listening(), contextlib.ExitStack() as held:
-        settings.check_here()
-        # Imported late, so that --help and a wrong setting are answered at once.
-        from gctd3.trainer import Trainer, refuse_a_run
+    settings.check_here()
+    # Imported late, so that --help and a wrong setting are answered at once.
+    from gctd3.trainer import Trainer, refuse_a_run
 
-        held.enter_context(only_one(run))
+    stop = StopRequest()
+    with only_one(run), stop.listening():
         if not resumed:
             refuse_a_run(run)
         trainer = Trainer(settings, run, {"config": OmegaConf.to_container(config, resolve=True)})
