@@ -25,6 +25,7 @@ from gctd3.files import (
     check_file,
     load_tree,
     new_directory,
+    new_file,
     read_manifest,
     save_tree,
     write_manifest,
@@ -149,13 +150,8 @@ class Checkpoints:
         start = parts[-1]["stop"] if parts else oldest
         if start < buffer.total:
             name = f"rows-{start:012d}-{buffer.total:012d}.safetensors"
-            aside = folder / f".{name}.tmp"
-            try:
+            with new_file(folder / name) as aside:
                 seal = save_tree(aside, buffer.rows_between(start, buffer.total))
-                aside.replace(folder / name)
-            except BaseException:
-                aside.unlink(missing_ok=True)
-                raise
             parts.append({"file": name, "start": start, "stop": buffer.total, "sha256": seal})
         return parts
 
@@ -167,7 +163,9 @@ class Checkpoints:
         return []
 
     def _drop(self) -> None:
-        """Delete checkpoints before the newest ones, and parts of the replay that none of those names."""
+        """Delete checkpoints before the newest ones, parts of the replay that none of those names, and leftovers."""
+        for path in self.directory.glob(".*.tmp"):  # of a write that was killed
+            shutil.rmtree(path)
         paths = sorted(self.directory.glob("step-*"))
         for path in paths[: -self.keep]:
             shutil.rmtree(path)
@@ -238,5 +236,7 @@ def fit(path: Path, load: Callable[[], object]) -> None:
     """Call ``load``; what a file holds that does not fit is a :class:`RunError` that names the file."""
     try:
         load()
+    except RunError:
+        raise
     except (RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
         raise RunError(f"{path} does not fit the run's configuration: {error}") from error

@@ -24,6 +24,7 @@ from gctd3.errors import GCTD3Error, suggest
 
 CONF = "gctd3.conf"
 USAGE_ERROR = 2
+INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
 _USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError)
 
 
@@ -46,6 +47,9 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
         hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
+    except KeyboardInterrupt:
+        print("\nInterrupted.", file=sys.stderr)
+        raise SystemExit(INTERRUPTED) from None
     except BrokenPipeError:
         # Whoever read the output (`| head`) has had enough; closing stderr keeps Python from complaining at exit.
         sys.stderr.close()

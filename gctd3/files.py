@@ -112,14 +112,25 @@ def new_directory(path: Path) -> Iterator[Path]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a file that is the old one or the new one, never a part of it."""
-    aside = path.with_name(f".{path.name}.tmp")
-    try:
+    with new_file(path) as aside:
         aside.write_text(text, encoding="utf-8", newline="")
         _flush(aside)
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[Path]:
+    """A file to write and flush, which gets the name ``path`` only then.
+
+    If the block raises, nothing is left of it.
+    """
+    aside = path.with_name(f".{path.name}.tmp")
+    try:
+        yield aside
         os.replace(aside, path)
     except BaseException:
         aside.unlink(missing_ok=True)
         raise
+    _flush(path.parent)
 
 
 def write_manifest(directory: Path, content: Mapping[str, Any]) -> None:

@@ -18,6 +18,15 @@ from gctd3.settings import build
 
 def train(config: DictConfig) -> None:
     """Check the configuration, train, say what was reached."""
+    stop = StopRequest()
+    # From the start: an import that a signal broke off would look like a missing package.
+    with stop.listening():
+        _train(config, stop)
+    if stop:
+        raise SystemExit(stop.exit_code)
+
+
+def _train(config: DictConfig, stop: StopRequest) -> None:
     resumed, overrides = config.resume is not None, list(HydraConfig.get().overrides.task)
     run = Path(str(config.resume)) if resumed else Path(HydraConfig.get().runtime.output_dir)
     # A sweep into the directory of an earlier one goes on where that one stopped.
@@ -32,8 +41,7 @@ def train(config: DictConfig) -> None:
     # Imported late, so that --help and a wrong setting are answered at once.
     from gctd3.trainer import Trainer, refuse_a_run
 
-    stop = StopRequest()
-    with only_one(run), stop.listening():
+    with only_one(run):
         if not resumed:
             refuse_a_run(run)
         trainer = Trainer(settings, run, {"config": OmegaConf.to_container(config, resolve=True)})
@@ -53,7 +61,6 @@ def train(config: DictConfig) -> None:
     print(_summary(trainer.best, run))
     if stop:
         print(f"Continue it:  python -m gctd3.train resume={run}")
-        raise SystemExit(stop.exit_code)
 
 
 def _summary(best: dict[str, float] | None, run: Path) -> str:

@@ -215,7 +215,7 @@ class Trainer:
             self.log.restore([], -1)
             return False
         state, rows = found
-        path = self.directory / FOLDER / STATE
+        path = self.checkpoints.directory
         fit(path, lambda: self.replay.load_state_dict(state.pop("replay"), rows))
         fit(path, lambda: self.load_state_dict(state))
         self.checkpoints.forget_after(self.counters.frames)

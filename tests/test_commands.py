@@ -97,6 +97,15 @@ def test_a_process_ends_with_2_and_one_message(tmp_path, argument):
     assert_untrained(tmp_path)
 
 
+def test_ctrl_c_ends_a_command_with_a_line(capsys, monkeypatch):
+    def interrupted(*arguments, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gctd3.robot.Robot.from_mjcf", interrupted)
+    assert command("graph", "robot=biped") == 130
+    assert capsys.readouterr().err == "\nInterrupted.\n"
+
+
 MJCF = {
     "unclosed": ("<mujoco><worldbody></mujoco>", "not an MJCF"),
     "no actuator": ("", "no actuator"),

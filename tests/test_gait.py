@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gctd3.envs.gait import Measurement, Progress, WalkingTask, put
+from gctd3.envs.gait import WalkingTask
+from gctd3.envs.records import Measurement, Progress, put
 from gctd3.envs.reward import Endings, Reward
 from gctd3.errors import ConfigError
 from gctd3.robot import Robot

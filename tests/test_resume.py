@@ -1,6 +1,8 @@
 """Going on as if nothing had happened: stopped, killed or extended runs against ones that were left alone."""
 
 import json
+import math
+import re
 import shutil
 import signal
 import subprocess
@@ -257,6 +259,17 @@ def test_a_second_signal_leaves_at_once(tmp_path):
     assert "Traceback" not in error
 
 
+def test_a_signal_while_the_training_is_being_built(tmp_path):
+    run = tmp_path / "run"
+    running = start(run, *LONG)
+    wait_for(lambda: (run / ".lock").exists())
+    running.send_signal(signal.SIGINT)
+    out, error = running.communicate()
+    assert running.returncode == 130
+    assert "Traceback" not in error
+    assert f"Continue it:  python -m gctd3.train resume={run}" in out
+
+
 def test_a_second_training_in_the_directory_is_refused(tmp_path):
     run = tmp_path / "run"
     running = start(run, *LONG, "total_frames=400_000", "evaluation.every=400_000")
@@ -308,32 +321,42 @@ def kill_and_compare(run, whole, moments):
     assert_same_run(whole, run)
 
 
+# Checkpoints as often as can be, whatever the disk's speed, so that every run flushes the same files in the same order.
+OFTEN = "checkpoint_every=1e-9"
+DYING = """
+import math, os, sys
+from gctd3 import files, train, trainer
+trainer.MOST_TIME = math.inf
+left = {left}
+flush = files._flush
+def counting(path):
+    global left
+    left -= 1
+    if not left:
+        print("Died before", path, flush=True)
+        os._exit(9)
+    flush(path)
+files._flush = counting
+sys.argv = ["train", *{arguments!r}]
+train.main()
+"""
+
+
 def test_a_kill_inside_a_checkpoint_leaves_the_one_before(tmp_path, monkeypatch):
     """Whatever file a checkpoint was about to write when it was killed."""
-    whole = train(tmp_path / "whole", "checkpoint_every=0.001")
-    for count in range(7):
+    monkeypatch.setattr("gctd3.trainer.MOST_TIME", math.inf)
+    whole = train(tmp_path / "whole", OFTEN)
+    struck = set()
+    for count in range(6):
         run = tmp_path / f"run{count}"
-        code = "\n".join(
-            [
-                "import os, sys",
-                "from gctd3 import files, train",
-                f"left = {16 + count}",
-                "flush = files._flush",
-                "def counting(path):",
-                "    global left",
-                "    left -= 1",
-                "    if not left: os._exit(9)",
-                "    flush(path)",
-                "files._flush = counting",
-                f"sys.argv = ['train', *{tiny(run, 'checkpoint_every=0.001')!r}]",
-                "train.main()",
-            ]
-        )
+        code = DYING.format(left=20 + count, arguments=tiny(run, OFTEN))
         killed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
         assert killed.returncode == 9, killed.stderr
+        struck.add(re.sub(r"[\d-]+", "-", re.search(r"Died before .*/(.*)", killed.stdout)[1]))
         assert command("train", f"resume={run}") == 0, count
         assert_same_run(whole, run)
         assert not list(run.rglob("*.tmp"))
+    assert struck >= {".rows-.safetensors.tmp", "state.safetensors", "manifest.json", ".step-.tmp", "checkpoints"}
 
 
 def test_a_full_disk_says_so_and_leaves_the_last_checkpoint(tmp_path):

@@ -12,7 +12,8 @@ import numpy as np
 from dm_env import specs
 from torchrl.envs import DMControlWrapper
 
-from gctd3.envs.gait import FEATURES, Measurement, Outcome, Progress, WalkingTask, from_dict, to_dict
+from gctd3.envs.gait import FEATURES, WalkingTask
+from gctd3.envs.records import Measurement, Outcome, Progress, from_dict, to_dict
 from gctd3.envs.simulation import Start, substeps_of
 
 with warnings.catch_warnings():

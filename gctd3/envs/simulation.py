@@ -10,7 +10,8 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
-from gctd3.envs.gait import Measurement, Outcome, Progress, WalkingTask, from_dict, put, take, to_dict
+from gctd3.envs.gait import WalkingTask
+from gctd3.envs.records import Measurement, Outcome, Progress, from_dict, put, take, to_dict
 from gctd3.errors import ConfigError, NumericalError, check_between
 
 MOST_SUBSTEPS = 1000

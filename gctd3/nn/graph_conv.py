@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 
 import numpy as np
 import torch
@@ -12,7 +13,7 @@ from torch.nn import functional
 from gctd3.nn.layers import stacked_linear
 
 
-class GraphLayer(nn.Module):
+class GraphLayer(nn.Module, ABC):
     r"""What graph convolutions share: nodes are mixed by a fixed matrix, then :math:`Y = M \Theta + b` at every node.
 
     Args:
@@ -74,9 +75,9 @@ class GraphLayer(nn.Module):
             out = stacked_linear(mixed, self.weight.mT, self.bias)
         return out.reshape(*out.shape[:-2], n, batch, self.out_features)
 
+    @abstractmethod
     def mix(self, nodes: Tensor) -> Tensor:
         """``nodes [(E,) N, B, F]`` to what the weight multiplies, ``[(E,) N * B, terms * F]``."""
-        raise NotImplementedError
 
     def extra_repr(self) -> str:
         """Sizes, for ``print``."""
