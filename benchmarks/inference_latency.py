@@ -41,13 +41,10 @@ def ways(run: str | None, folder: Path) -> tuple[dict[str, Callable[[int], objec
     states = rng.standard_normal((STATES, 1, *network.input_shape), dtype=np.float32)
     tensors, policy = torch.from_numpy(states), gctd3.load_policy(run)
     plain = Deterministic(policy).eval()
-    binary = {f.reading for node in deployed.contract.nodes for f in node.features if f.binary}
+    features = [f for node in deployed.contract.nodes for f in node.features if f.reading]
     readings = [
-        {
-            name: float(x > 0) if name in binary else float(x)
-            for name, x in zip(deployed.contract.readings, row, strict=False)
-        }
-        for row in rng.standard_normal((STATES, len(deployed.contract.readings)))
+        {f.reading: float(x > 0) if f.binary else float(x) for f, x in zip(features, row, strict=True)}
+        for row in rng.standard_normal((STATES, len(features)))
     ]
     period = 1.0 / deployed.contract.control_rate_hz
     found: dict[str, Callable[[int], object]] = {

@@ -40,6 +40,7 @@ from gctd3.settings import build
 # The one in which PyTorch's exporter is written; every later one is converted from it.
 OPSET = 18
 NEEDED = ("onnx", "onnxscript", "onnxruntime")
+Act = Callable[[np.ndarray], np.ndarray]  # states to actions
 STATES, TOLERANCE = 10_000, 1e-5  # on which the export is compared with PyTorch, and how far an action may be off
 MARGIN = 1.2  # of the largest change of a desired angle that was seen
 INSIDE = "policy.json"  # name of the contract inside a .pt2 file
@@ -143,7 +144,7 @@ def export_run(settings: ExportSettings) -> Exported:
         exported_with=versions(NEEDED if out.suffix == ".onnx" else ()),
     )
     network, states = Deterministic(policy).eval(), _states(visited)
-    with _quiet(), torch.no_grad():
+    with torch.no_grad():
         program = traced(network, states.shape[1:])
         if out.suffix == ".onnx":
             content, act = to_onnx(program, contract.robot)
@@ -196,19 +197,35 @@ def _states(visited: np.ndarray) -> np.ndarray:
     return np.concatenate([drawn, rng.standard_normal((STATES - len(drawn), *visited.shape[1:]), dtype=np.float32)])
 
 
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what PyTorch's exporter says of its own code, of its passes and of packages that are not needed."""
+    loggers = [logging.getLogger(name) for name in ("onnx_ir", "onnxscript", "torch.onnx")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=r"`isinstance\(treespec, LeafSpec\)`", category=FutureWarning)
+            yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
+@_quiet()
 def traced(network: Deterministic, shape: tuple[int, ...]) -> torch.export.ExportedProgram:
     """The network's graph for any batch, without where on this machine its lines of code are."""
     example = torch.zeros(2, *shape)
-    batch = torch.export.Dim("batch")
+    # Of a named dimension it wants a proof, which fails on reshapes of every node's layer normalisation.
+    batch = torch.export.Dim.DYNAMIC
     program = torch.export.export(network, (example,), dynamic_shapes={NODES: {0: batch}}, strict=False)
     for node in program.graph.nodes:
         node.meta.pop("stack_trace", None)
     return program
 
 
-Act = Callable[[np.ndarray], np.ndarray]
-
-
+@_quiet()
 def to_onnx(program: torch.export.ExportedProgram, robot: RobotIdentity) -> tuple[bytes, Act]:
     """An ONNX file's content, and the network in it."""
     passes: Any = import_module("onnx_ir.passes.common")
@@ -230,28 +247,13 @@ def to_onnx(program: torch.export.ExportedProgram, robot: RobotIdentity) -> tupl
     return content, lambda states: session.run([ACTION], {NODES: states})[0]
 
 
+@_quiet()
 def to_pt2(program: torch.export.ExportedProgram, contract: str) -> tuple[bytes, Act]:
     """The content of a file of ``torch.export``, and the network in it."""
     file = io.BytesIO()
     torch.export.save(program, file, extra_files={INSIDE: contract})
     network = torch.export.load(io.BytesIO(file.getvalue())).module()
     return file.getvalue(), lambda states: network(torch.from_numpy(states)).numpy()
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Without what PyTorch's exporter says of its own code, of its passes and of packages that are not needed."""
-    loggers = [logging.getLogger(name) for name in ("onnx_ir", "onnxscript", "torch.onnx")]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message=r"`isinstance\(treespec, LeafSpec\)`", category=FutureWarning)
-            yield
-    finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)
 
 
 def _task(config: DictConfig) -> None:

@@ -29,7 +29,7 @@ def _elsewhere(tmp_path, monkeypatch):
 def shipping(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     module = importlib.import_module("ship_policy")
-    monkeypatch.setattr(module, "EPISODES", 4)
+    monkeypatch.setattr(module, "EPISODES", 2)
     return module
 
 
@@ -80,12 +80,12 @@ def test_the_package_data_covers_every_file():
 
 def test_without_a_run_commands_use_it_and_leave_it_alone(tmp_path, capsys):
     before = contents(find_run(None))
-    assert command("evaluate", "episodes=3", "threads=1") == 0
+    assert command("evaluate", "episodes=2", "threads=1") == 0
     said = capsys.readouterr().out
     assert re.search(r"success rate +1\.00", said) and "Written" not in said
     assert contents(find_run(None)) == before
     assert not list(tmp_path.iterdir())
-    assert command("evaluate", "episodes=3", "threads=1", f"out={tmp_path / 'new' / 'folder'}") == 0
+    assert command("evaluate", "episodes=1", "threads=1", f"out={tmp_path / 'new' / 'folder'}") == 0
     assert sorted(path.name for path in (tmp_path / "new" / "folder").iterdir()) == ["evaluation.json", "trace.csv"]
     assert contents(find_run(None)) == before
 
@@ -114,7 +114,7 @@ def test_shipping_judges_and_copies(shipping, tmp_path, monkeypatch):
     assert set(new) == set(old)
     assert {name for name in new if new[name] != old[name]} == {name for name in new if name.endswith(".json")}
     assert checked(Checkpoints(to).best())["commit"] == "abcdef0"
-    assert json.loads((to / "evaluation.json").read_text())["episodes"] == 4
+    assert json.loads((to / "evaluation.json").read_text())["episodes"] == 2
 
 
 def test_shipping_refuses_what_does_not_walk(shipping, tmp_path, monkeypatch):
