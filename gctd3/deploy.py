@@ -116,7 +116,7 @@ class Policy:
         self._frames, self._time, self._desired = stack, time, allowed
         return self.command
 
-    def _frame(self, readings: Mapping[str, float]) -> np.ndarray:
+    def _frame(self, readings: Mapping[str, Any]) -> np.ndarray:
         """Features of every node in one frame, shape ``[N, features]``."""
         given, names = set(readings), set(self._names)
         if given != names:
