@@ -43,15 +43,19 @@ def rates(work: dict[str, Callable[[], float]], rounds: int) -> dict[str, float]
     return {name: statistics.median(values) for name, values in seen.items()}
 
 
+def commit() -> str:
+    """The checkout's, with ``-dirty`` behind it if files differ from it; ``unknown`` outside one."""
+    describe = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    return subprocess.run(describe, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
+
+
 def report(name: str, figures: dict[str, object], out: str) -> None:
     """Print the provenance, and write everything as JSON if ``out`` names a file."""
-    describe = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
-    commit = subprocess.run(describe, capture_output=True, text=True, check=False)
     # Where files went on this machine is nobody's business.
     arguments = [argument for argument in sys.argv[1:] if "=/" not in argument]
     full = {
         "command": " ".join(["python", f"benchmarks/{name}.py", *arguments]),
-        "commit": commit.stdout.strip() or "unknown",
+        "commit": commit(),
         "machine": f"{os.cpu_count()} CPU cores, {platform.machine()}, Python {platform.python_version()}",
         **figures,
     }

@@ -143,27 +143,35 @@ class EvaluateSettings:
     """What ``gctd3.evaluate`` is asked to do.
 
     Attributes:
-        run: Directory of the run.
+        run: Directory of the run; the policy that ships with the library if ``None``.
         reward: Under which to judge.
         episodes: How many, each from its own start.
         seed: Of the starts.
         threads: That simulate; all cores if ``None``.
+        out: Directory to write to; the run's if ``None``, nowhere if there is no run either.
     """
 
-    run: str
+    run: str | None
     reward: Reward
     episodes: int = 50
     seed: int = 10_000
     threads: int | None = None
+    out: str | None = None
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
             raise ConfigError(f"episodes must be at least 1, got {self.episodes}.")
         check_seed("seed", self.seed)
 
+    @property
+    def folder(self) -> Path | None:
+        """Where to write."""
+        place = self.run if self.out is None else self.out
+        return Path(place) if place is not None else None
+
 
 def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
-    """Judge the best policy of a run and write ``evaluation.json`` beside it.
+    """Judge the best policy of a run and write ``evaluation.json`` and ``trace.csv`` to ``settings.folder``.
 
     Returns:
         What was written.
@@ -172,11 +180,14 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
         RunError: If the directory is not a run, or one of another version.
     """
     from gctd3.checkpoint import load_policy, versions
-    from gctd3.run_config import load_settings
+    from gctd3.run_config import find_run, load_settings
 
-    run = Path(settings.run)
+    run = find_run(settings.run)
     trained = load_settings(run)
     policy = load_policy(run)
+    folder = settings.folder
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
     robot = trained.load_robot()
     judged = trained.env.judging(settings.episodes, settings.threads)
     env = build_env(robot, judged, settings.reward, settings.seed)
@@ -191,9 +202,10 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
         "versions": versions(),
     }
     report = {key: _finite(value) for key, value in report.items()}
-    if walks:
-        write_text(run / TRACE, trace(result.typical, robot, judged.control_dt))
-    write_text(run / EVALUATION, json.dumps(report, indent=2) + "\n")
+    if folder is not None:
+        if walks:
+            write_text(folder / TRACE, trace(result.typical, robot, judged.control_dt))
+        write_text(folder / EVALUATION, json.dumps(report, indent=2) + "\n")
     return report
 
 
@@ -260,7 +272,8 @@ def _task(config: DictConfig) -> None:
     settings: EvaluateSettings = build(config)
     report = evaluate_run(settings)
     print(table(report))
-    print(f"\nWritten to {Path(settings.run) / 'evaluation.json'}")
+    if settings.folder is not None:
+        print(f"\nWritten to {settings.folder / EVALUATION}")
 
 
 def main() -> None:

@@ -14,6 +14,15 @@ from pathlib import Path
 import pytest
 
 BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
+BENCHED = [
+    "env_throughput",
+    "inference_latency",
+    "learner_throughput",
+    "peers",
+    "scaling",
+    "ship_policy",
+    "time_to_gait",
+]
 
 
 @pytest.fixture(autouse=True)
@@ -39,7 +48,7 @@ def run(gait_table, contender, minutes, outcome="reached", seed=0, **row):
     return gait_table.Run(contender, seed, outcome, minutes, [evaluation(**row)])
 
 
-@pytest.mark.parametrize("name", ["env_throughput", "learner_throughput", "peers", "scaling", "time_to_gait"])
+@pytest.mark.parametrize("name", BENCHED)
 def test_an_unknown_option_exits_with_the_accepted_ones(name, monkeypatch):
     benchmark = importlib.import_module(name)
     monkeypatch.setattr(sys, "argv", [f"{name}.py", "ouput=x.json", "--help"])
@@ -240,3 +249,17 @@ def test_scaling_sizes_and_graphs():
     tree = scaling.random_tree(16)
     assert (tree.num_nodes, len(tree.edges)) == (16, 15)
     assert scaling.per_robot({"a": {4: 2.0}}) == {"a": {4: 500.0}}
+
+
+def test_latency_times_every_call_and_takes_the_ways_in_turn():
+    latency = importlib.import_module("inference_latency")
+    calls = []
+    work = {name: lambda i, name=name: calls.append((name, i)) for name in ("a", "b")}
+    times = latency.measure(work, calls=6, rounds=2)
+    assert {name: len(values) for name, values in times.items()} == {"a": 6, "b": 6}
+    warm = latency.WARM_UP
+    assert calls[: 2 * warm] == [("a", i) for i in range(warm)] + [("b", i) for i in range(warm)]
+    assert calls[2 * warm :] == [(name, warm + 3 * turn + i) for turn in (0, 1) for name in "ab" for i in range(3)]
+    # 1 to 101: the median is 51, and a hundredth of the way from 101 back is 100.
+    found = latency.percentiles([float(x) for x in range(1, 102)])
+    assert found == {"p50": 51.0, "p99": pytest.approx(100.0), "max": 101.0}

@@ -17,6 +17,7 @@ ROOT = Path(gctd3.__file__).parent
 STAGES = [
     "errors",
     "files",
+    "contract deploy",
     "mjcf shapes feet mirror base robot",
     "nodes graph",
     "reflection",
@@ -37,6 +38,7 @@ STAGES = [
     "evaluate",
     "picture graph_picture",
     "render",
+    "describe export",
     "interrupt random_state run_log",
     "trainer",
     "train",
@@ -101,6 +103,7 @@ def test_the_front_door_imports_nothing_until_it_is_used():
     "module, absent",
     [
         # What each stage can be used without: the graph without PyTorch, the networks without Hydra.
+        ("gctd3.deploy", ("torch", "torchrl", "hydra", "dm_control", "mujoco", "safetensors")),
         ("gctd3.robot", ("torch", "torchrl", "hydra", "dm_control")),
         ("gctd3.graph", ("torch", "torchrl", "hydra", "dm_control")),
         ("gctd3.envs.gait", ("torch", "torchrl", "hydra", "dm_control")),
