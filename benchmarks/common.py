@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from gctd3.files import write_text
+
 
 def options(**defaults: str) -> dict[str, str]:
     """``key=value`` arguments over their defaults; exits with what is accepted if one is unknown."""
@@ -43,18 +45,22 @@ def rates(work: dict[str, Callable[[], float]], rounds: int) -> dict[str, float]
     return {name: statistics.median(values) for name, values in seen.items()}
 
 
+def commit() -> str:
+    """The checkout's commit in words."""
+    describe = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    return subprocess.run(describe, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
+
+
 def report(name: str, figures: dict[str, object], out: str) -> None:
     """Print the provenance, and write everything as JSON if ``out`` names a file."""
-    describe = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
-    commit = subprocess.run(describe, capture_output=True, text=True, check=False)
     # Where files went on this machine is nobody's business.
     arguments = [argument for argument in sys.argv[1:] if "=/" not in argument]
     full = {
         "command": " ".join(["python", f"benchmarks/{name}.py", *arguments]),
-        "commit": commit.stdout.strip() or "unknown",
+        "commit": commit(),
         "machine": f"{os.cpu_count()} CPU cores, {platform.machine()}, Python {platform.python_version()}",
         **figures,
     }
     print(f"\n{full['command']}  at {full['commit']} on {full['machine']}")
     if out:
-        Path(out).write_text(json.dumps(full, indent=1) + "\n", encoding="utf-8")
+        write_text(Path(out), json.dumps(full, indent=1) + "\n")
