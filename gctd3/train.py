@@ -39,7 +39,8 @@ def _train(config: DictConfig, stop: StopRequest) -> None:
     settings = build(config, trusted=not resumed)
     settings.check_here()
     # Imported late, so that --help and a wrong setting are answered at once.
-    from gctd3.trainer import Trainer, refuse_a_run
+    from gctd3.run_log import refuse_a_run
+    from gctd3.trainer import Trainer
 
     with only_one(run):
         if not resumed:

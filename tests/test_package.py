@@ -37,7 +37,7 @@ STAGES = [
     "evaluate",
     "picture graph_picture",
     "render",
-    "interrupt run_log",
+    "interrupt random_state run_log",
     "trainer",
     "train",
     "reporting.runs reporting.statistics reporting.verdict reporting.figures reporting.tables reporting.page reporting",
