@@ -21,7 +21,7 @@ from gctd3.checkpoint import STATE, Checkpoints, fit
 from gctd3.collector import InlineCollector
 from gctd3.device import pick_device
 from gctd3.envs.factory import EnvSettings, build_env
-from gctd3.errors import NumericalError, RunError
+from gctd3.errors import NumericalError
 from gctd3.evaluate import evaluate
 from gctd3.exploration import Explorer
 from gctd3.faults import check_collected, check_losses
