@@ -31,9 +31,9 @@ from yardstick_recipe import ALGORITHMS, TASKS, Recipe, ours, theirs
 
 from gctd3.cli import CONF
 from gctd3.run_config import CONFIG
+from gctd3.run_log import PROGRESS
 from gctd3.settings import build
 from gctd3.train_settings import TrainSettings
-from gctd3.trainer import PROGRESS
 
 # Which results belong together.
 KEPT = ("steps", "every", "episodes", "random_steps")
