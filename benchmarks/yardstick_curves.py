@@ -34,8 +34,8 @@ class Run:
         algo: Algorithm.
         side: Whose.
         seed: Of the training.
-        commit: Of this project when it was made.
-        minutes: That it took.
+        commit: Of this project when it was started.
+        minutes: Wall-clock until its last evaluation.
         curve: Its evaluations: ``frames``, ``return_mean``, ``return_std`` and more.
     """
 

@@ -17,7 +17,6 @@ import json
 import shutil
 import subprocess
 import sys
-import time
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -101,13 +100,15 @@ def plan(given: dict[str, str]) -> list[Run]:
     """All runs that are asked for, seed by seed.
 
     Raises:
-        SystemExit: If there is no such task, algorithm or side.
+        SystemExit: If there is no such task, algorithm or side, or no evaluation.
     """
     chosen = {key: given[key].split(",") for key in ("tasks", "algos", "sides")}
     for key, accepted in (("tasks", TASKS), ("algos", ALGORITHMS), ("sides", SIDES)):
         unknown = [name for name in chosen[key] if name not in accepted]
         if unknown:
             raise SystemExit(f"{key} knows no {', '.join(unknown)}; there are {', '.join(accepted)}")
+    if int(given["every"]) > int(given["steps"]):
+        raise SystemExit(f"every must be at most steps={given['steps']}, got {given['every']}: nobody would be judged")
     seeds = [int(text) for text in given["seeds"].split(",")]
     names = itertools.product(seeds, chosen["tasks"], chosen["algos"], chosen["sides"])
     return [Run(task, algo, side, seed) for seed, task, algo, side in names]
@@ -135,11 +136,11 @@ def main() -> None:
     for run in missing:
         directory = Path(given["runs"]).absolute() / run.task / run.algo / f"{run.side}-seed{run.seed}"
         print(f"{run.task} {run.algo} {run.side} seed {run.seed}", flush=True)
-        began = time.monotonic()
+        run.commit = commit()
         train = train_ours if run.side == "gctd3" else train_theirs
         train(run, recipe, given, directory)
-        run.minutes, run.commit = (time.monotonic() - began) / 60, commit()
         run.curve = read_progress(directory / PROGRESS)
+        run.minutes = run.curve[-1]["wall_s"] / 60
         over.append(run)
         write(over, recipe, given)
     if not missing:

@@ -11,6 +11,11 @@ from test_algorithms import KINDS, build, going_on
 from gctd3.algorithms.base import EAGER
 
 UPDATES = EAGER + 4
+# The compiler's own, about itself.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*should not be instantiated:DeprecationWarning"),
+    pytest.mark.filterwarnings("ignore:torch._dynamo.config:FutureWarning"),
+]
 
 
 def updated(name, compiled):

@@ -234,6 +234,8 @@ def test_trains_both_and_goes_on_where_it_stopped(yardsticks, tmp_path, monkeypa
 def test_what_there_is_none_of_is_named(yardsticks):
     with pytest.raises(SystemExit, match="algos knows no ppo; there are td3, sac, ddpg"):
         yardsticks(algos="td3,ppo")
+    with pytest.raises(SystemExit, match="every must be at most steps=400, got 401"):
+        yardsticks(every=401)
 
 
 def test_recipes_differ_from_the_test_values(recipe):
