@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from gctd3.files import write_text
+
 
 def options(**defaults: str) -> dict[str, str]:
     """``key=value`` arguments over their defaults; exits with what is accepted if one is unknown."""
@@ -44,7 +46,11 @@ def rates(work: dict[str, Callable[[], float]], rounds: int) -> dict[str, float]
 
 
 def commit() -> str:
+<<<<<<< HEAD
     """The checkout's, with ``-dirty`` behind it if files differ from it; ``unknown`` outside one."""
+=======
+    """The checkout's commit in words."""
+>>>>>>> yard
     describe = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
     return subprocess.run(describe, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
 
@@ -61,4 +67,4 @@ def report(name: str, figures: dict[str, object], out: str) -> None:
     }
     print(f"\n{full['command']}  at {full['commit']} on {full['machine']}")
     if out:
-        Path(out).write_text(json.dumps(full, indent=1) + "\n", encoding="utf-8")
+        write_text(Path(out), json.dumps(full, indent=1) + "\n")

@@ -17,7 +17,7 @@ import json
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import gymnasium
@@ -55,7 +55,7 @@ class Judge:
     """Writes a row of ``progress.csv`` whenever a peer's policy is due, judged as :class:`gctd3.trainer.Trainer` does.
 
     Args:
-        settings: Of :func:`shared_settings`.
+        settings: Of :func:`shared_settings`, or of another training whose task and evaluation they share.
         run: The run's directory.
         minutes: After which the training is to end.
         threads: That simulate.
@@ -64,7 +64,7 @@ class Judge:
     def __init__(self, settings: TrainSettings, run: Path, minutes: float, threads: int) -> None:
         self.settings, self.run = settings, run
         self.robot = settings.load_robot()
-        judged = replace(settings.env, num_envs=settings.evaluation.episodes, threads=threads)
+        judged = settings.env.judging(settings.evaluation.episodes, threads)
         self.env = build_env(self.robot, judged, settings.evaluation.reward, settings.evaluation.seed)
         self.began = time.monotonic()
         self.ends = self.began + 60 * minutes

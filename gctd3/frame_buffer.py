@@ -9,7 +9,6 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from gctd3.envs.gait import FEATURES
 from gctd3.errors import ConfigError
 
 
@@ -91,7 +90,7 @@ class FrameBuffer:
         for t in range(collected.shape[1]):
             step = TensorDict(
                 {
-                    "nodes": collected["nodes"][:, t, :, -FEATURES:],
+                    "nodes": self._newest(collected["nodes"][:, t]),
                     "counters": collected["counters"][:, t],
                     "action": collected["action"][:, t],
                     "reward": following["reward"][:, t, 0],
@@ -106,6 +105,10 @@ class FrameBuffer:
                 self._allocate(step)
             self._append(step, following[:, t])
 
+    def _newest(self, stack: Tensor) -> Tensor:
+        """The newest frame ``[..., F]`` of a stack ``[..., H * F]``."""
+        return stack[..., -(stack.shape[-1] // self.history) :]
+
     def _append(self, step: TensorDictBase, following: TensorDictBase) -> None:
         row, last = self.head, self._ring["last"]
         self._free += last[row][last[row] >= 0].tolist()
@@ -116,7 +119,7 @@ class FrameBuffer:
         if len(ended):
             places = torch.tensor(self._places(len(ended)), device=self.device)
             last[row, ended] = places.to(torch.int32)
-            self._last["nodes"][places] = following["nodes"][ended][..., -FEATURES:]
+            self._last["nodes"][places] = self._newest(following["nodes"][ended])
             self._last["counters"][places] = following["counters"][ended]
         self.head = (row + 1) % self.rows
         self.filled = min(self.filled + 1, self.rows)

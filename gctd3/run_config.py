@@ -73,7 +73,7 @@ def load_settings(run: str | Path) -> TrainSettings:
 
     config = load_config(run)
     try:
-        settings = build(config)
+        settings = build(config, trusted=False)
     except (OmegaConfBaseException, ConfigError) as error:
         raise _unusable(Path(run) / CONFIG, error) from error
     if not isinstance(settings, TrainSettings):

@@ -9,6 +9,8 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
+import os
+import sys
 import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
@@ -21,9 +23,18 @@ from omegaconf.errors import MissingMandatoryValue
 
 from gctd3.errors import ConfigError, suggest
 
+OWN = "gctd3"
+MODULES = "GCTD3_MODULES"  # environment variable: packages besides that the configuration of a run may name, by commas
 
-def build(config: DictConfig | Mapping[str, Any]) -> Any:  # noqa: ANN401 - whatever the target returns
+
+def build(config: DictConfig | Mapping[str, Any], trusted: bool = True) -> Any:  # noqa: ANN401 - the target's
     """Call the configuration's targets, innermost first.
+
+    Args:
+        config: The configuration.
+        trusted: Whether it may have any module imported, as a command line of one's own may. The configuration of a
+            run may be somebody else's: it names what belongs to gctd3, to a package in ``GCTD3_MODULES``, or to a
+            module that is imported already.
 
     Raises:
         ConfigError: If a key is unknown or missing, or a value has the wrong type or is out of range.
@@ -34,7 +45,30 @@ def build(config: DictConfig | Mapping[str, Any]) -> Any:  # noqa: ANN401 - what
             plain = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
         except MissingMandatoryValue as error:
             raise ConfigError(f"{error.full_key}=... is required; --help shows how.") from error
+    if not trusted:
+        _check_modules(plain, "")
     return _build(plain, "")
+
+
+def _check_modules(value: Any, path: str) -> None:  # noqa: ANN401
+    """Raise a :class:`.ConfigError` at the first target that would import what nobody allowed."""
+    if isinstance(value, list):
+        for i, item in enumerate(value):
+            _check_modules(item, f"{path}[{i}]")
+    if not isinstance(value, Mapping):
+        return
+    for key, item in value.items():
+        _check_modules(item, f"{path}.{key}".lstrip("."))
+    target = value.get("_target_")
+    if not isinstance(target, str):
+        return
+    package, module = target.partition(".")[0], target.rpartition(".")[0]
+    allowed = {OWN, *(name.strip() for name in os.environ.get(MODULES, "").split(","))}
+    if package not in allowed and module not in sys.modules:
+        raise ConfigError(
+            f"{path or 'the configuration'}: _target_ {target!r} is not gctd3's, and nothing else is imported for the "
+            f"configuration of a run. If you trust it, set the environment variable {MODULES}={package}."
+        )
 
 
 def _build(value: Any, path: str) -> Any:  # noqa: ANN401

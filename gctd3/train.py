@@ -36,7 +36,7 @@ def _train(config: DictConfig, stop: StopRequest) -> None:
     resumed = resumed or (sweeping and (run / CONFIG).is_file())
     if resumed:
         config, overrides = changed(run, "config", overrides)
-    settings = build(config)
+    settings = build(config, trusted=not resumed)
     settings.check_here()
     # Imported late, so that --help and a wrong setting are answered at once.
     from gctd3.run_log import refuse_a_run

@@ -201,6 +201,18 @@ class TrainSettings:
             raise ConfigError(f"threads must be at least 1, or null, got {self.threads}.")
         check_between(self, 1, MOST_THREADS, "threads")
         self._check_frames()
+        if isinstance(self.env, LibrarySettings):
+            self._check_library_task(self.env)
+
+    def _check_library_task(self, env: LibrarySettings) -> None:
+        """What a library's task asks of replay and networks."""
+        if self.replay.mirror:
+            raise ConfigError("replay.mirror must be false for a library's task, got true: use replay=plain.")
+        network = self.network
+        if env.observation == "flat" and (network.graph_layers or network.readout != "flat" or network.equivariant):
+            raise ConfigError(
+                "env.observation must be nodes for a network that knows the robot's graph, got flat: use network=mlp."
+            )
 
     def _check_frames(self) -> None:
         """What the numbers of frames ask of one another."""
@@ -227,8 +239,6 @@ class TrainSettings:
                 f"replay.capacity must hold a batch: of {self.replay.capacity} of {self.env.num_envs} robots "
                 f"{drawn * self.env.num_envs} can be drawn, replay.batch_size is {self.replay.batch_size}."
             )
-        if self.replay.mirror and isinstance(self.env, LibrarySettings):
-            raise ConfigError("replay.mirror must be false for a library's task, got true: use replay=plain.")
 
     def check_here(self) -> None:
         """Check all that only the robot and this machine can tell, before anything is begun.
@@ -265,10 +275,13 @@ class TrainSettings:
         privileged = 0
         if self.algo.privileged_critic and isinstance(self.env, EnvSettings):
             privileged = WalkingTask(robot, self.reward, self.env.endings, self.env.control_dt).num_counters
+        graph, features = None, FEATURES
+        if isinstance(self.env, LibrarySettings):
+            graph, features = self.env.graph, self.env.features
         return Architecture(
-            graph=KinematicGraph.from_robot(robot, self.robot.graph, self.robot.graph_seed),
+            graph=graph or KinematicGraph.from_robot(robot, self.robot.graph, self.robot.graph_seed),
             network=self.network,
-            in_features=FEATURES * self.env.history,
+            in_features=features * self.env.history,
             action_dim=int(robot.model.nu),
             privileged_dim=privileged,
             reflection=Reflection.from_robot(robot, FEATURES) if self.network.equivariant else None,

@@ -21,8 +21,7 @@ from gctd3.checkpoint import STATE, Checkpoints, fit
 from gctd3.collector import InlineCollector
 from gctd3.device import pick_device
 from gctd3.envs.factory import EnvSettings, build_env
-from gctd3.envs.state import has_state
-from gctd3.errors import NumericalError, RunError
+from gctd3.errors import NumericalError
 from gctd3.evaluate import evaluate
 from gctd3.exploration import Explorer
 from gctd3.faults import check_collected, check_losses
@@ -222,9 +221,7 @@ class Trainer:
     # What is kept, and going on from it.
 
     def save(self) -> None:
-        """Write a checkpoint, unless the simulator's state cannot be read: then the run cannot be continued either."""
-        if not has_state(self.collector.env):
-            return
+        """Write a checkpoint."""
         began = time.monotonic()
         self.checkpoints.save(self.counters.frames, self.state_dict(), self.replay.buffer)
         cost = time.monotonic() - began
@@ -237,10 +234,8 @@ class Trainer:
             Whether there was one; without, the training starts from its beginning.
 
         Raises:
-            RunError: If all are damaged or do not fit the settings, or the task is another library's.
+            RunError: If all are damaged or do not fit the settings.
         """
-        if not has_state(self.collector.env):
-            raise RunError(f"{self.directory} cannot be continued: the state of its task's simulator cannot be saved.")
         found = self.checkpoints.newest()
         if found is None:
             self.checkpoints.forget_after(-1)
@@ -286,9 +281,7 @@ class Trainer:
         with new_directory(target) as aside:
             for name, batch in seen.items():
                 save_tree(aside / f"{name}.safetensors", batch.to_dict())
-            # Another library's simulator keeps its state to itself.
-            if has_state(self.collector.env):
-                save_tree(aside / STATE, self.state_dict())
+            save_tree(aside / STATE, self.state_dict())
             write_manifest(aside, {"error": said})
         return NumericalError(
             f"{said} The last batch and the whole state are in {target} (gctd3.files.load_tree reads them). "

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 import yaml
+from configs import composed, items
 from fuzzing import answered, clean, damages, fresh, tree
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from running import tiny, train
-from test_settings import composed, items
 
 from gctd3.checkpoint import Checkpoints, load_policy
 from gctd3.files import load_tree, read_manifest

@@ -1,47 +1,15 @@
 """The walking task on hand-made measurements: every expected number follows from the arithmetic beside it."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from gaits import LEFT, RIGHT, sense, values, walk
 
 from gctd3.envs.gait import WalkingTask
-from gctd3.envs.records import Measurement, Progress, put
 from gctd3.envs.reward import Endings, Reward
 from gctd3.errors import ConfigError
 from gctd3.robot import Robot
-
-RIGHT, LEFT = 0, 1
-
-
-def sense(y=0.0, z=0.0, v=0.0, hips=(0.1, -0.1), feet=(True, False), other=False):
-    """One biped's measurement; joints in the MJCF's order: right hip, knee, ankle, then the left ones."""
-    return Measurement(
-        position=np.array(y),
-        height=np.array(z),
-        velocity=np.array(v),
-        angles=np.array([hips[RIGHT], 0.0, 0.0, hips[LEFT], 0.0, 0.0]),
-        velocities=np.zeros(6),
-        feet_down=np.array(feet),
-        other_down=np.array(other),
-        base=np.zeros((0, 2)),
-        tilt=np.array(0.0),
-    )
-
-
-def walk(task, *measurements):
-    """Begin with the first measurement and advance by the others: the last progress, and all outcomes."""
-    progress, outcomes = task.begin(measurements[0]), []
-    for now in measurements[1:]:
-        progress, outcome = task.advance(progress, now)
-        outcomes.append(outcome)
-    return progress, outcomes
-
-
-def values(outcome):
-    return [float(term) for term in outcome.terms.values()]
 
 
 def alternating(steps, **constant):
@@ -50,24 +18,6 @@ def alternating(steps, **constant):
         side = 1.0 if t % 2 else -1.0
         varying = {"hips": (0.1 * side, -0.1 * side), "feet": (t % 2 == 0, t % 2 == 1)}
         yield sense(**{**varying, **{k: f(t) if callable(f) else f for k, f in constant.items()}})
-
-
-def random_walk(rng, steps, shape):
-    """Measurements that cross every threshold of the reward now and then."""
-    return [
-        Measurement(
-            position=rng.uniform(0.0, 15.2, shape),
-            height=rng.uniform(-0.11, 0.1, shape),
-            velocity=rng.uniform(-1.0, 2.0, shape),
-            angles=rng.uniform(-1.0, 1.0, (*shape, 6)),
-            velocities=rng.uniform(-7.0, 7.0, (*shape, 6)),
-            feet_down=rng.uniform(size=(*shape, 2)) < 0.5,
-            other_down=rng.uniform(size=shape) < 0.05,
-            base=np.zeros((*shape, 0, 2)),
-            tilt=np.zeros(shape),
-        )
-        for _ in range(steps)
-    ]
 
 
 def test_reward_of_three_steps(task):
@@ -238,59 +188,6 @@ def test_counters(task):
     assert task.counters(progress) == pytest.approx(np.array([0.25, -0.25, 0.2, -0.2]))
     progress, _ = task.advance(progress, sense(hips=(-0.1, 0.1), feet=(False, True)))
     assert task.counters(progress) == pytest.approx(np.array([-1 / 40, 1 / 40, -1 / 50, 1 / 50]))
-
-
-SHAPED = Reward(antiphase=0.3, single_support=0.2, overspeed=0.5, short_swing=2.0, long_swing=2.0)
-SEEDS = st.integers(0, 2**32 - 1)
-
-
-@given(SEEDS)
-def test_a_batch_is_its_robots_one_by_one(robot, seed):
-    task, n = WalkingTask(robot, SHAPED, Endings(contact_steps=3, hip_steps=3, time_limit=8)), 3
-    steps = random_walk(np.random.default_rng(seed), 10, (n,))
-    batch_progress, batch_outcomes = walk(task, *steps)
-    for i in range(n):
-        rows = [Measurement(*(getattr(now, f.name)[i] for f in fields(now))) for now in steps]
-        progress, outcomes = walk(task, *rows)
-        np.testing.assert_array_equal(task.node_features(steps[-1])[i], task.node_features(rows[-1]))
-        np.testing.assert_array_equal(task.counters(batch_progress)[i], task.counters(progress))
-        for name in (f.name for f in fields(Progress)):
-            np.testing.assert_array_equal(getattr(batch_progress, name)[i], getattr(progress, name), err_msg=name)
-        for many, one in zip(batch_outcomes, outcomes, strict=True):
-            assert [term[i] for term in many.terms.values()] == pytest.approx(values(one))
-            for name in ("terminated", "truncated", "success"):
-                assert getattr(many, name)[i] == getattr(one, name), name
-
-
-@given(SEEDS)
-def test_a_mirrored_walk_is_worth_the_same(robot, graph, seed):
-    task = WalkingTask(robot, SHAPED, Endings(contact_steps=3, hip_steps=3))
-    steps = random_walk(np.random.default_rng(seed), 10, ())
-    left_first = [3, 4, 5, 0, 1, 2]
-    order = {"angles": left_first, "velocities": left_first, "feet_down": [LEFT, RIGHT]}
-    mirrored = [replace(now, **{k: getattr(now, k)[o] for k, o in order.items()}) for now in steps]
-    progress, outcomes = walk(task, *steps)
-    other_progress, other_outcomes = walk(task, *mirrored)
-    np.testing.assert_array_equal(task.counters(other_progress), task.counters(progress)[[1, 0, 3, 2]])
-    swapped = task.node_features(steps[-1])[list(graph.mirror)]
-    swapped[-1] = swapped[-1, ::-1]
-    np.testing.assert_array_equal(task.node_features(mirrored[-1]), swapped)
-    for here, there in zip(outcomes, other_outcomes, strict=True):
-        assert values(here) == pytest.approx(values(there))
-        assert here.terminated == there.terminated
-
-
-def test_put_replaces_the_chosen_robots_and_leaves_the_original(task):
-    first, second = random_walk(np.random.default_rng(0), 2, (3,))
-    old, _ = task.advance(task.begin(first), second)
-    before = {f.name: getattr(old, f.name).copy() for f in fields(Progress)}
-    (one,) = random_walk(np.random.default_rng(1), 1, (1,))
-    new = task.begin(one)
-    merged = put(old, np.array([1]), new)
-    for name in (f.name for f in fields(Progress)):
-        np.testing.assert_array_equal(getattr(old, name), before[name], err_msg=name)
-        np.testing.assert_array_equal(getattr(merged, name)[[1]], getattr(new, name), err_msg=name)
-        np.testing.assert_array_equal(getattr(merged, name)[[0, 2]], getattr(old, name)[[0, 2]], err_msg=name)
 
 
 @pytest.mark.parametrize(

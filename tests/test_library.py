@@ -2,13 +2,14 @@
 
 import json
 import math
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
 from dm_control import suite
-from running import command, rows, train
+from running import command, rows, tiny, train
 from tensordict import TensorDict
 
 import gctd3
@@ -86,6 +87,46 @@ def test_equal_seeds_start_equally():
     settings = LibrarySettings("gymnasium", "HalfCheetah-v5", num_envs=3)
     one, again, other = (build_env(settings.robot, settings, Reward(), seed).reset()["nodes"] for seed in (3, 3, 4))
     assert torch.equal(one, again) and not torch.equal(one, other) and not torch.equal(one[0], one[1])
+
+
+@pytest.mark.parametrize(
+    "library, task, size", [("gymnasium", "HalfCheetah-v5", 17), ("dm_control", "walker-walk", 24)]
+)
+def test_the_tasks_own_observation(library, task, size):
+    settings = LibrarySettings(library, task, num_envs=2, history=1, observation="flat")
+    assert settings.features == size and settings.graph.nodes == ("observation",)
+    env = build_env(settings.robot, settings, Reward(), seed=0)
+    state = env.reset()
+    action = torch.zeros(2, env.action_spec.shape[-1])
+    for _ in range(3):
+        state = env.step(state.set("action", action))["next"]
+    assert state["nodes"].shape == (2, 1, size)
+    inner = env.base_env._envs[0].base_env._env
+    if library == "gymnasium":
+        theirs = inner.unwrapped._get_obs()
+    else:
+        theirs = np.concatenate([np.ravel(part) for part in inner.task.get_observation(inner.physics).values()])
+    np.testing.assert_allclose(np.sort(state["nodes"][0, 0]), np.sort(theirs), rtol=1e-6)
+    if library == "gymnasium":  # in its order
+        np.testing.assert_allclose(state["nodes"][0, 0], theirs, rtol=1e-6)
+    # What the nodes would have been stands beside it, for the gait.
+    noded = build_env(settings.robot, replace(settings, observation="nodes"), Reward(), seed=0)
+    other = noded.reset()
+    for _ in range(3):
+        other = noded.step(other.set("action", action))["next"]
+    assert torch.equal(state["sensed"], other["nodes"])
+
+
+def test_trains_on_the_tasks_own_observation(tmp_path, capsys):
+    flat = ["env=walker2d", "env.observation=flat", *FEW]
+    run = train(tmp_path / "run", "algo=td3", *flat, without=WITHOUT)
+    policy = gctd3.load_policy(run)
+    assert policy(TensorDict({"nodes": torch.randn(3, 1, 34)}, [3]))["action"].shape == (3, 6)
+    assert command("evaluate", f"run={run}", "episodes=1") == 0
+    for network in ("gcn", "per_joint"):
+        wrong = tiny(tmp_path / network, "algo=td3", f"network={network}", *flat, without=WITHOUT)
+        assert command("train", *wrong) == 2
+        assert "env.observation must be nodes for a network that knows the robot's graph" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import pickle
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import torch
 from running import command, train
 
 import gctd3
-from gctd3.checkpoint import load_policy
+from gctd3.checkpoint import load_policy, load_settings
 from gctd3.errors import RunError
 from gctd3.files import checksum, load_tree, read_manifest, write_manifest
 
@@ -73,6 +74,50 @@ def test_nothing_of_a_run_is_executed(tmp_path, capsys, run):
                     load_policy(broken)
             assert not marker.exists(), file
             shutil.rmtree(broken)
+
+
+STRANGER = """
+import dataclasses, pathlib
+pathlib.Path({marker!r}).touch()
+from gctd3.algorithms.td3 import TD3Settings
+
+@dataclasses.dataclass(frozen=True)
+class Settings(TD3Settings):
+    pass
+"""
+
+
+def test_no_stranger_is_imported_unless_it_is_allowed(tmp_path, monkeypatch, capsys, run):
+    """Somebody else's run names a module that this machine can import."""
+    marker, broken = tmp_path / "marker", Path(shutil.copytree(run, tmp_path / "run"))
+    (tmp_path / "stranger.py").write_text(STRANGER.format(marker=str(marker)))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    config = broken / ".hydra" / "config.yaml"
+    own = "gctd3.algorithms.td3.TD3Settings"
+    assert own in config.read_text()
+    config.write_text(config.read_text().replace(own, "stranger.Settings"))
+    said = "algo: _target_ 'stranger.Settings' is not gctd3's.* GCTD3_MODULES=stranger"
+    for name, arguments in (("evaluate", [f"run={broken}", "episodes=1"]), ("train", [f"resume={broken}"])):
+        capsys.readouterr()
+        assert command(name, *arguments) == 2
+        assert re.search(said, capsys.readouterr().err)
+    with pytest.raises(RunError, match=said):
+        load_policy(broken)
+    assert not marker.exists() and "stranger" not in sys.modules
+
+    monkeypatch.setenv("GCTD3_MODULES", "another, stranger")
+    assert load_policy(broken) is not None and marker.exists()
+    # What the caller has imported is no stranger.
+    monkeypatch.delenv("GCTD3_MODULES")
+    assert load_policy(broken) is not None
+    del sys.modules["stranger"]
+
+
+def test_a_command_line_may_name_modules_of_ones_own(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(STRANGER.format(marker=str(tmp_path / "marker")))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    trained = train(tmp_path / "run", "algo._target_=mine.Settings")
+    assert load_settings(trained).algo == sys.modules.pop("mine").Settings(privileged_critic=True)
 
 
 def seal(run):

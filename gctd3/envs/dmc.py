@@ -15,6 +15,7 @@ from torchrl.envs import DMControlWrapper
 from gctd3.envs.gait import FEATURES, WalkingTask
 from gctd3.envs.records import Measurement, Outcome, Progress, from_dict, to_dict
 from gctd3.envs.simulation import Start, substeps_of
+from gctd3.envs.simulator_state import integration_state, load_integration_state
 
 with warnings.catch_warnings():
     # Without a display GLFW only warns, and dm_control settles on it; an error sends it on to EGL, then OSMesa.
@@ -22,8 +23,6 @@ with warnings.catch_warnings():
     from dm_control import mujoco
     from dm_control.rl import control
     from dm_control.suite import base
-
-STATE = mujoco_api.mjtState.mjSTATE_INTEGRATION.value
 
 
 class Physics(mujoco.Physics):
@@ -169,7 +168,7 @@ class WalkEnvironment(control.Environment):
         walk: Walk = self.task
         name, keys, position, has_gauss, cached = walk.random.get_state()
         return {
-            "physics": self._simulator_state(),
+            "physics": integration_state(self.physics.model.ptr, self.physics.data.ptr),
             "reset_next_step": self._reset_next_step,
             "steps": self._step_count,
             "random": [name, keys.tolist(), position, has_gauss, cached],
@@ -179,18 +178,12 @@ class WalkEnvironment(control.Environment):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore :meth:`state_dict`."""
         model, data = self.physics.model.ptr, self.physics.data.ptr
-        mujoco_api.mj_setState(model, data, np.array(state["physics"]), STATE)
+        load_integration_state(model, data, state["physics"])
         mujoco_api.mj_forward(model, data)
         self._reset_next_step, self._step_count = state["reset_next_step"], state["steps"]
         name, keys, position, has_gauss, cached = state["random"]
         self.task.random.set_state((name, np.array(keys, dtype=np.uint32), position, has_gauss, cached))
         self.task.load_state_dict(state)
-
-    def _simulator_state(self) -> np.ndarray:
-        model, data = self.physics.model.ptr, self.physics.data.ptr
-        state = np.empty(mujoco_api.mj_stateSize(model, STATE))
-        mujoco_api.mj_getState(model, data, state, STATE)
-        return state
 
 
 def load(

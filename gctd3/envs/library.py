@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.data import Binary, Composite, Unbounded
@@ -26,6 +28,7 @@ from torchrl.envs import (
 from gctd3.envs.gait import FEATURES
 from gctd3.envs.nodes import NodeSensor, sensor_of, simulator, with_nodes
 from gctd3.errors import ConfigError, check_between
+from gctd3.graph import KinematicGraph
 from gctd3.robot import Robot
 
 MOST_ROBOTS, MOST_FRAMES = 100_000, 1000  # stepped together; stacked into an observation
@@ -40,12 +43,15 @@ class LibrarySettings:
         task: ``domain-task`` of dm_control's suite, or Gymnasium's id.
         num_envs: Robots, simulated one after another.
         history: Frames stacked into an observation.
+        observation: ``nodes``: of the robot's graph, see :class:`.NodeSensor`; ``flat``: what the task itself gives,
+            all of it as a single node, which is for networks without graph layers.
     """
 
     library: Literal["dm_control", "gymnasium"]
     task: str
     num_envs: int = 8
     history: int = 2
+    observation: Literal["nodes", "flat"] = "nodes"
 
     def __post_init__(self) -> None:
         check_between(self, 1, MOST_ROBOTS, "num_envs")
@@ -58,12 +64,22 @@ class LibrarySettings:
         Raises:
             ConfigError: If there is no such task, or its robot does not fit.
         """
-        return _probe(self.library, self.task)[0].robot
+        return _probe(self.library, self.task).sensor.robot
 
     @property
     def control_dt(self) -> float:
         """The task's control period (s)."""
-        return _probe(self.library, self.task)[1]
+        return _probe(self.library, self.task).control_dt
+
+    @property
+    def graph(self) -> KinematicGraph | None:
+        """The graph of what is observed, if that is not the robot's."""
+        return KinematicGraph(("observation",), np.zeros((1, 1))) if self.observation == "flat" else None
+
+    @property
+    def features(self) -> int:
+        """``F``, features of a node in one frame."""
+        return _probe(self.library, self.task).size if self.observation == "flat" else FEATURES
 
     def judging(self, episodes: int, threads: int | None = None) -> LibrarySettings:
         """The same task for one evaluation; ``threads`` is for tasks that are simulated at once."""
@@ -109,19 +125,48 @@ class _TaskKeys(Transform):
         return observation_spec
 
 
+class _Flat(Transform):
+    """Puts the task's own observation, flat, in the place of the nodes, which become ``sensed``.
+
+    Args:
+        keys: Of the observation's parts.
+    """
+
+    def __init__(self, keys: Sequence[str]) -> None:
+        super().__init__(in_keys=[*keys, "nodes"], out_keys=["nodes", "sensed"])
+        self._keys = keys
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        next_tensordict.set("sensed", next_tensordict.get("nodes"))
+        parts = [next_tensordict.get(key).reshape(-1) for key in self._keys]
+        return next_tensordict.set("nodes", torch.cat(parts).to(torch.float32)[None])
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        observation_spec["sensed"] = observation_spec["nodes"].clone()
+        size = sum(observation_spec[key].shape.numel() for key in self._keys)
+        observation_spec["nodes"] = Unbounded((1, size))
+        return observation_spec
+
+
 def build_library_env(settings: LibrarySettings, seed: int) -> EnvBase:
     """Robots of a library's task, with the keys of :func:`gctd3.envs.factory.build_env`.
 
     Returns:
         An environment of batch size ``[num_envs]``; ``position`` is the way forward from the origin (m), ``counters``
-        is empty, ``success`` and ``diverged`` are never true.
+        is empty, ``success`` and ``diverged`` are never true. If ``nodes`` is flat, ``sensed`` is what the nodes sense.
     """
+    keys = ["nodes", "position", "success", "diverged", "counters"]
 
     def one(index: int) -> EnvBase:
         env = settings.make()
         noded = with_nodes(env)
         noded.append_transform(_TaskKeys(env, noded.transform[0].sensor))
-        noded.append_transform(SelectTransform("nodes", "position", "success", "diverged", "counters"))
+        if settings.observation == "flat":
+            noded.append_transform(_Flat(_parts(env)))
+        noded.append_transform(SelectTransform(*keys, *(["sensed"] if settings.observation == "flat" else [])))
         noded.set_seed(seed + index)
         return noded
 
@@ -131,8 +176,22 @@ def build_library_env(settings: LibrarySettings, seed: int) -> EnvBase:
     return TransformedEnv(env, Compose(InitTracker(), StepCounter(), stack))
 
 
+def _parts(env: EnvBase) -> list[str]:
+    """Keys of a task's own observation."""
+    return [str(key) for key in env.observation_spec.keys(True, True)]
+
+
+@dataclass(frozen=True)
+class _Probe:
+    """What a task is found to be: its sensor, its control period (s), the size of its own observation."""
+
+    sensor: NodeSensor
+    control_dt: float
+    size: int
+
+
 @functools.lru_cache
-def _probe(library: Literal["dm_control", "gymnasium"], task: str) -> tuple[NodeSensor, float]:
+def _probe(library: Literal["dm_control", "gymnasium"], task: str) -> _Probe:
     env = LibrarySettings(library, task).make()
     sensor = sensor_of(env)
     if sensor.features != FEATURES:
@@ -142,5 +201,6 @@ def _probe(library: Literal["dm_control", "gymnasium"], task: str) -> tuple[Node
         raise ConfigError(f"task: actions of {task!r} must lie in [-1, 1], got {low.tolist()} to {high.tolist()}.")
     inner = env._env
     dt = inner.control_timestep() if library == "dm_control" else inner.unwrapped.dt
+    size = sum(env.observation_spec[key].shape.numel() for key in _parts(env))
     env.close()
-    return sensor, float(dt)
+    return _Probe(sensor, float(dt), size)

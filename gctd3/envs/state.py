@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from torch.nn.parameter import UninitializedBuffer
 from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 
 from gctd3.envs.batched import BatchedEnv
-
-
-def has_state(env: EnvBase) -> bool:
-    """Whether :func:`env_state` can read it: the walking task can be, other libraries' tasks not."""
-    inner = env.base_env if isinstance(env, TransformedEnv) else env
-    if isinstance(inner, SerialEnv):
-        return all(hasattr(wrapper._env, "load_state_dict") for wrapper in inner._envs)
-    return isinstance(inner, BatchedEnv)
+from gctd3.envs.nodes import simulator
+from gctd3.envs.simulator_state import load_task_state, task_state
 
 
 def env_state(env: EnvBase) -> dict[str, Any]:
-    """State of an environment of :func:`gctd3.envs.factory.build_env` on the walking task; tensors are copies.
+    """State of an environment of :func:`gctd3.envs.factory.build_env`; tensors are copies.
 
     Raises:
-        TypeError: If its state cannot be read.
+        TypeError: If it is another one.
     """
     if isinstance(env, TransformedEnv):
         buffers = {
@@ -33,7 +28,7 @@ def env_state(env: EnvBase) -> dict[str, Any]:
         return {"base": env_state(env.base_env), "buffers": buffers}
     if isinstance(env, BatchedEnv):
         return env.simulation.state_dict()
-    return {"robots": [environment.state_dict() for environment in _dm_control(env)]}
+    return {"robots": [_robot_state(wrapper) for wrapper in _robots(env)]}
 
 
 def load_env_state(env: EnvBase, state: dict[str, Any]) -> None:
@@ -46,11 +41,26 @@ def load_env_state(env: EnvBase, state: dict[str, Any]) -> None:
     elif isinstance(env, BatchedEnv):
         env.simulation.load_state_dict(state)
     else:
-        for environment, one in zip(_dm_control(env), state["robots"], strict=True):
-            environment.load_state_dict(one)
+        for wrapper, one in zip(_robots(env), state["robots"], strict=True):
+            _load_robot_state(wrapper, one)
 
 
-def _dm_control(env: EnvBase) -> list[Any]:
-    if not has_state(env):
-        raise TypeError(f"The state of a {type(env).__name__} cannot be read; expected the walking task.")
-    return [wrapper._env for wrapper in env._envs]
+def _robot_state(wrapper: EnvBase) -> dict[str, Any]:
+    inner = wrapper._env
+    return inner.state_dict() if hasattr(inner, "state_dict") else task_state(inner, *simulator(wrapper))
+
+
+def _load_robot_state(wrapper: EnvBase, state: dict[str, Any]) -> None:
+    inner = wrapper._env
+    if hasattr(inner, "load_state_dict"):
+        inner.load_state_dict(state)
+    else:
+        load_task_state(inner, *simulator(wrapper), state)
+
+
+def _robots(env: EnvBase) -> Iterator[EnvBase]:
+    """The environments of single robots, without their transforms, of which none has a state."""
+    if not isinstance(env, SerialEnv):
+        raise TypeError(f"The state of a {type(env).__name__} cannot be read; expected one of build_env.")
+    for one in env._envs:
+        yield one.base_env if isinstance(one, TransformedEnv) else one

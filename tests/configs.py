@@ -1,0 +1,33 @@
+"""Configurations for tests: as the commands compose them, and with one key changed."""
+
+import copy
+
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+
+
+def composed(*overrides, root="config"):
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        return OmegaConf.to_container(compose(root, list(overrides)), resolve=True)
+
+
+def items(node, prefix=""):
+    """Full names and values of all keys but ``_target_``, mappings included."""
+    for key, value in node.items():
+        if key != "_target_":
+            yield f"{prefix}{key}", value
+            if isinstance(value, dict):
+                yield from items(value, f"{prefix}{key}.")
+
+
+def edited(config, key, value=None, rename=None, drop=False):
+    """A copy of ``config`` in which ``key`` has another value or name, or is missing."""
+    config = copy.deepcopy(config)
+    *path, last = key.split(".")
+    node = config
+    for part in path:
+        node = node[part]
+    old = node.pop(last) if rename or drop else None
+    if not drop:
+        node[rename or last] = old if rename else value
+    return config

@@ -1,0 +1,71 @@
+"""``algo.compile=true``: compiled losses give the same updates, and a training with them ends as one without."""
+
+import functools
+import shutil
+
+import pytest
+import torch
+from running import rows, train
+from test_algorithms import KINDS, build, going_on
+
+from gctd3.algorithms.base import EAGER
+
+UPDATES = EAGER + 4
+# The compiler's own, about itself.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*should not be instantiated:DeprecationWarning"),
+    pytest.mark.filterwarnings("ignore:torch._dynamo.config:FutureWarning"),
+]
+
+
+def updated(name, compiled):
+    """An algorithm after a few updates, and what the last one said."""
+    algorithm = build(name, compile=compiled)
+    for i in range(UPDATES):
+        torch.manual_seed(i)
+        metrics = algorithm.update(going_on())
+    return algorithm, metrics
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_traced_losses_update_as_they_are(name, monkeypatch):
+    """Traced as for the compiler, and then run as they are: bit for bit the same."""
+    traced, compiler = [], torch.compile
+
+    def trace(function, mode):
+        traced.append((function.__name__, mode))
+        return compiler(function, backend="eager")
+
+    monkeypatch.setattr(torch, "compile", trace)
+    plain, compiled = updated(name, False), updated(name, True)
+    assert traced == [(loss, "default") for loss in compiled[0].LOSSES]
+    assert plain[1].keys() == compiled[1].keys()
+    for key, value in plain[1].items():
+        assert torch.equal(value, compiled[1][key]), key
+    first, second = (algorithm.state_dict()["loss"] for algorithm in (plain[0], compiled[0]))
+    fresh = build(name).state_dict()["loss"]
+    assert first.keys() == second.keys() and any(not torch.equal(first[key], fresh[key]) for key in first)
+    for key, value in first.items():
+        assert torch.equal(value, second[key]), key
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not any(map(shutil.which, ("g++", "clang++"))), reason="torch.compile needs a C++ compiler")
+@pytest.mark.parametrize("name", ["gctd3", "sac"])
+def test_a_compiled_training(tmp_path, name, monkeypatch):
+    compiler, compiled = torch.compile, []
+
+    @functools.wraps(compiler)
+    def counted(function, **options):
+        compiled.append(function.__name__)
+        return compiler(function, **options)
+
+    monkeypatch.setattr(torch, "compile", counted)
+    plain = rows(train(tmp_path / "plain", f"algo={name}"))
+    assert not compiled
+    ours = rows(train(tmp_path / "compiled", f"algo={name}", "algo.compile=true"))
+    assert compiled
+    # Sums in another order differ in the last bits, and a falling robot soon makes more of it.
+    assert [row["frames"] for row in ours] == [row["frames"] for row in plain]
+    assert [row["updates"] for row in ours] == [row["updates"] for row in plain]
+    assert float(ours[0]["return_mean"]) == pytest.approx(float(plain[0]["return_mean"]), rel=1e-2)
