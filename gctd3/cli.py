@@ -93,10 +93,12 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
             directory = Path(HydraConfig.get().runtime.output_dir)
             _remove_empty(directory)
             said = explain(error, config)
-            if HydraConfig.get().mode is RunMode.MULTIRUN and not isinstance(error, _WRONG_SETTINGS):
+            if _sweeping() and not isinstance(error, _WRONG_SETTINGS):
                 # The other runs of a sweep go on; it fails at its end.
                 print(f"error: {directory}: {said}", file=sys.stderr, flush=True)
                 raise RunError(f"{directory} failed, as was said when it did; the other runs went on.") from None
+            if _launched():
+                raise RunError(said) from None  # for the process that started the sweep to say
             fail(said)
         except RuntimeError as error:
             # PyTorch's way to say that memory is short.
@@ -105,6 +107,15 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
             fail(explain(MemoryError(str(error).splitlines()[0]), config))
 
     return guarded
+
+
+def _sweeping() -> bool:
+    return HydraConfig.get().mode is RunMode.MULTIRUN
+
+
+def _launched() -> bool:
+    """Whether this is a run of a sweep that a launcher put into another process."""
+    return _sweeping() and not str(HydraConfig.get().launcher.get("_target_")).startswith("hydra._internal")
 
 
 def _remove_empty(directory: Path) -> None:

@@ -125,12 +125,11 @@ def sensor_deviation(robot: Robot, angle: float, velocity: float, length: float,
         length: Of the body's height, and its way to the side (m).
         speed: Of the body's velocities (m/s).
     """
-    graph = KinematicGraph.from_robot(robot)
-    of_kind = {"root": (length, speed), "ground": (0.0, 0.0)}
-    rows = [
-        (length, speed) if name == "side" else of_kind.get(kind, (angle, velocity))
-        for name, kind in zip(graph.nodes, graph.kinds, strict=True)
-    ]
+    kinds = KinematicGraph.from_robot(robot).kinds
+    base = [(length, speed) if name == "side" else (angle, velocity) for name in robot.base.extra]
+    joints, grounds = kinds.count("hinge"), kinds.count("ground")
+    # In the nodes' order, see gctd3.nodes.
+    rows = [(length, speed), *base, *[(angle, velocity)] * joints, *[(0.0, 0.0)] * grounds]
     return torch.tensor(rows, dtype=torch.float32)
 
 

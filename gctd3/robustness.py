@@ -42,7 +42,7 @@ class Perturbations:
         speed_noise: Of the body's velocity (m/s).
     """
 
-    impulses: Sequence[float] = (2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
+    impulses: Sequence[float] = (4.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 40.0)
     phases: int = 8
     starts: int = 5
     settle: float = 5.0

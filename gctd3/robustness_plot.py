@@ -89,7 +89,10 @@ def _shoves(ax: Axes, groups: Groups) -> None:
 
 def _largest(results: Sequence[Mapping[str, Any]], direction: str) -> np.ndarray | None:
     """Mean over those policies that have it, shape ``[phases]``; those with another number of phases are left out."""
-    known = [r["shoves"]["largest"][direction] for r in results if r.get("shoves")]
-    rows = [np.array([np.nan if value is None else value for value in row], dtype=float) for row in known]
+    found = [r["shoves"]["largest"][direction] for r in results if r.get("shoves")]
+    rows = [np.array([np.nan if value is None else value for value in row], dtype=float) for row in found]
     rows = [row for row in rows if len(row) == len(rows[0]) and np.isfinite(row).any()]
-    return np.nanmean(np.stack(rows), axis=0) if rows else None
+    if not rows:
+        return None
+    known = np.isfinite(rows).sum(axis=0)
+    return np.where(known > 0, np.nansum(rows, axis=0) / np.maximum(known, 1), np.nan)
