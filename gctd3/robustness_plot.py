@@ -67,6 +67,7 @@ def _conditions(ax: Axes, groups: Groups) -> None:
     ax.set_yticklabels(names)
     ax.set_xlabel("share of episodes that reach the finish")
     ax.grid(axis="y", visible=False)
+    ax.set_axisbelow(True)
     if len(groups) > 1:
         legend(ax, above=True)
 
@@ -82,7 +83,7 @@ def _shoves(ax: Axes, groups: Groups) -> None:
             ax.plot(np.linspace(0, 1, len(values) + 1), np.append(values, values[0]), "o", ms=3, lw=1.6, **style)
             ax.lines[-1].set_label(label)
     ax.set(xlabel="part of the stride since a touchdown of the first foot", ylabel="impulse survived, N s")
-    ax.set(xlim=(0, 1), ylim=(0, None))
+    ax.set(xlim=(0, 1), ylim=(0, 1.06 * ax.dataLim.y1 if ax.lines else None))
     if ax.lines:
         legend(ax, above=True)
 
