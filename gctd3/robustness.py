@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -98,8 +98,8 @@ class Examination:
         """
         conditions: dict[str, dict[str, float | int]] = {}
         with tqdm(self._conditions().items(), desc="trying", unit=" condition") as bar:
-            for name, judge in bar:
-                conditions[name] = judge()
+            for name, (policy, robot) in bar:
+                conditions[name] = self._judged(policy, robot)
         return {
             "perturbations": asdict(self.perturbations),
             "mass_kg": total_mass(self.robot),
@@ -108,26 +108,23 @@ class Examination:
             "shoves": None if stride_time is None else self.shoves(stride_time),
         }
 
-    def _conditions(self) -> dict[str, Callable[[], dict[str, float | int]]]:
+    def _conditions(self) -> dict[str, tuple[Policy, Robot]]:
         p, robot = self.perturbations, self.robot
         noise = sensor_deviation(robot, p.angle_noise, p.velocity_noise, p.height_noise, p.speed_noise)
-        found: dict[str, Callable[[], dict[str, float | int]]] = {AS_TRAINED: lambda: self._judged(self.policy)}
+        found: dict[str, tuple[Policy, Robot]] = {AS_TRAINED: (self.policy, robot)}
         for factor in p.masses:
-            found[f"mass {_percent(factor)}"] = lambda f=factor: self._judged(self.policy, altered(robot, mass=f))
+            found[f"mass {_percent(factor)}"] = self.policy, altered(robot, mass=factor)
         for factor in p.frictions:
-            found[f"friction {_percent(factor)}"] = lambda f=factor: self._judged(
-                self.policy, altered(robot, friction=f)
-            )
+            found[f"friction {_percent(factor)}"] = self.policy, altered(robot, friction=factor)
         for steps in p.delays:
-            name = f"actions {steps} step{'s' * (steps != 1)} late"
-            found[name] = lambda s=steps: self._judged(Delayed(self.policy, s, resting_action(robot)))
-        found["sensor noise"] = lambda: self._judged(Noisy(self.policy, noise, self.seed))
+            late = Delayed(self.policy, steps, resting_action(robot))
+            found[f"actions {steps} step{'s' * (steps != 1)} late"] = late, robot
+        found["sensor noise"] = Noisy(self.policy, noise, self.seed), robot
         return found
 
-    def _judged(self, policy: Policy, robot: Robot | None = None) -> dict[str, float | int]:
-        walker = robot if robot is not None else self.robot
-        env = build_env(walker, self.env, self.reward, self.seed)
-        return evaluate(policy, env, walker, self.seed, self.env.control_dt).summary()
+    def _judged(self, policy: Policy, robot: Robot) -> dict[str, float | int]:
+        env = build_env(robot, self.env, self.reward, self.seed)
+        return evaluate(policy, env, robot, self.seed, self.env.control_dt).summary()
 
     def shoves(self, stride_time: float) -> dict[str, Any]:
         """Every impulse at every phase in both directions, all at once.

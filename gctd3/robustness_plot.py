@@ -78,10 +78,16 @@ def _shoves(ax: Axes, groups: Groups) -> None:
             values = _largest(groups[group], direction)
             if values is None:
                 continue
-            style = {"color": colour if len(groups) > 1 else COLOURS[int(sign < 0)], "ls": "-" if sign > 0 else "--"}
-            label = " ".join(filter(None, (group, direction)))
-            ax.plot(np.linspace(0, 1, len(values) + 1), np.append(values, values[0]), "o", ms=3, lw=1.6, **style)
-            ax.lines[-1].set_label(label)
+            ax.plot(
+                np.linspace(0, 1, len(values) + 1),
+                np.append(values, values[0]),
+                color=colour if len(groups) > 1 else COLOURS[int(sign < 0)],
+                ls="-" if sign > 0 else "--",
+                marker="o",
+                ms=3,
+                lw=1.6,
+                label=" ".join(filter(None, (group, direction))),
+            )
     ax.set(xlabel="part of the stride since a touchdown of the first foot", ylabel="impulse survived, N s")
     ax.set(xlim=(0, 1), ylim=(0, 1.06 * ax.dataLim.y1 if ax.lines else None))
     if ax.lines:

@@ -99,7 +99,9 @@ def test_the_command_tries_everything(run, capsys):
     assert plain == {key: evaluation[key] for key in plain}
     # What is done to the robot shows.
     assert len({condition["return_mean"] for condition in found["conditions"].values()}) == len(names)
-    assert found["perturbations"]["impulses"] == [1.0, 5.0] and found["mass_kg"] == pytest.approx(9.8126)
+    assert found["perturbations"]["impulses"] == [1.0, 5.0] and found["mass_kg"] == pytest.approx(
+        4.02 + 2 * (1.7324 + 0.7527 + 0.4111)
+    )
     if found["shoves"] is None:
         assert "no strides, so there are no phases" in out
     assert str(run / "robustness.json") in out

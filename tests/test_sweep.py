@@ -128,9 +128,9 @@ def test_ctrl_c_reaches_runs_side_by_side_and_the_sweep_goes_on_later(tmp_path):
     long = {"total_frames": 2000, "evaluation.every": 400, "checkpoint_every": 1000}
     directory = tmp_path / "sweep"
     running = beside(directory, **long)
-    wait_for(lambda: len(list(directory.glob("seed?/checkpoints/best-*"))) == 2)
+    wait_for(lambda: len(list(directory.glob("seed?/checkpoints/best-*"))) == 2, seconds=600)
     os.killpg(running.pid, signal.SIGINT)
-    out, error = running.communicate(timeout=120)
+    out, error = running.communicate(timeout=300)
     assert running.returncode == 130, out + error
     assert "Traceback" not in out + error and out.count("stopped. ") == 2
     assert f"Continue it with the same command and hydra.sweep.dir={directory}" in out
@@ -154,7 +154,7 @@ def test_ctrl_c_reaches_runs_side_by_side_and_the_sweep_goes_on_later(tmp_path):
 
     # Nothing is left to do.
     before = {file: file.read_bytes() for file in directory.glob("seed?/progress.csv")}
-    out, error = beside(directory, **long).communicate(timeout=120)
+    out, error = beside(directory, **long).communicate(timeout=300)
     assert {file: file.read_bytes() for file in directory.glob("seed?/progress.csv")} == before, out + error
 
 

@@ -134,15 +134,15 @@ def _trouble(run: Run) -> str | None:
 def _reached(run: Run) -> bool:
     """Whether its last evaluations show what ``stop_when`` asks for."""
     wanted = run.config.get("stop_when.evaluations")
-    bounds = [
-        StopWhen(**{side: {key.removeprefix(head): value}})
+    bounds = {
+        side: {
+            key.rpartition(".")[2]: value for key, value in run.config.items() if key.startswith(f"stop_when.{side}.")
+        }
         for side in ("at_least", "at_most")
-        for head in [f"stop_when.{side}."]
-        for key, value in run.config.items()
-        if key.startswith(head)
-    ]
+    }
+    shown = StopWhen(bounds["at_least"], bounds["at_most"])
     late = run.rows[-wanted:] if wanted else []
-    return bool(late) and len(late) == wanted and all(bound.all_reached(row) for bound in bounds for row in late)
+    return bool(late) and len(late) == wanted and all(map(shown.all_reached, late))
 
 
 def judged(run: Run) -> Run:
