@@ -90,32 +90,29 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
         try:
             return task(settings)
         except _USER_ERRORS as error:
-            directory = Path(HydraConfig.get().runtime.output_dir)
-            _remove_empty(directory)
-            said = explain(error, config)
-            if _sweeping() and not isinstance(error, _WRONG_SETTINGS):
-                # The other runs of a sweep go on; it fails at its end.
-                print(f"error: {directory}: {said}", file=sys.stderr, flush=True)
-                raise RunError(f"{directory} failed, as was said when it did; the other runs went on.") from None
-            if _launched():
-                raise RunError(said) from None  # for the process that started the sweep to say
-            fail(said)
+            _refuse(error, config)
         except RuntimeError as error:
             # PyTorch's way to say that memory is short.
             if "alloc" not in str(error) and "out of memory" not in str(error):
                 raise
-            fail(explain(MemoryError(str(error).splitlines()[0]), config))
+            _refuse(MemoryError(str(error).splitlines()[0]), config)
 
     return guarded
 
 
-def _sweeping() -> bool:
-    return HydraConfig.get().mode is RunMode.MULTIRUN
-
-
-def _launched() -> bool:
-    """Whether this is a run of a sweep that a launcher put into another process."""
-    return _sweeping() and not str(HydraConfig.get().launcher.get("_target_")).startswith("hydra._internal")
+def _refuse(error: Exception, config: str) -> NoReturn:
+    """Say what is wrong, and end the process; of a sweep only the run, unless its settings are wrong."""
+    hydra_config = HydraConfig.get()
+    directory = Path(hydra_config.runtime.output_dir)
+    _remove_empty(directory)
+    said, sweeping = explain(error, config), hydra_config.mode is RunMode.MULTIRUN
+    if sweeping and not isinstance(error, _WRONG_SETTINGS):
+        # The sweep itself fails at its end.
+        print(f"error: {directory}: {said}", file=sys.stderr, flush=True)
+        raise RunError(f"{directory} failed, as was said when it did; the other runs went on.") from None
+    if sweeping and not str(hydra_config.launcher.get("_target_")).startswith("hydra._internal"):
+        raise RunError(said) from None  # for the process that started the sweep to say
+    fail(said)
 
 
 def _remove_empty(directory: Path) -> None:
