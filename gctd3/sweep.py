@@ -65,10 +65,10 @@ class StopTogether(Callback):
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:  # noqa: ANN401 - Hydra's
         """Begin to listen."""
-        if runs_at_once(config.hydra.launcher) == 1:
-            return
         if PLUGIN in str(config.hydra.launcher.get("_target_")) and not _installed():
             fail("hydra/launcher=joblib needs hydra-joblib-launcher: pip install 'gctd3[sweep]'.")
+        if runs_at_once(config.hydra.launcher) == 1:
+            return
         self._file = Path(config.hydra.sweep.dir) / STOP
         self._file.unlink(missing_ok=True)
         self._before = {number: signal.signal(number, self._heard) for number in SIGNALS}

@@ -159,7 +159,6 @@ def test_ctrl_c_reaches_runs_side_by_side_and_the_sweep_goes_on_later(tmp_path):
 
 
 def test_a_missing_plugin_is_named(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(sweep, "PLUGIN", "joblib_launcher")
     monkeypatch.setattr(sweep, "_installed", lambda: False)
     assert command("train", *arguments(tmp_path, "hydra/launcher=joblib")) == 2
     assert "pip install 'gctd3[sweep]'" in capsys.readouterr().err
