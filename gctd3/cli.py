@@ -27,6 +27,7 @@ from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
 CONF = "gctd3.conf"
 USAGE_ERROR = 2
 INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
+_JOBLIB = ("hydra/launcher", "joblib")  # an option only where the plugin is installed
 _WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException)
 _USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError)
 
@@ -134,7 +135,8 @@ def explain(error: Exception, config: str) -> str:
     if isinstance(error, MissingConfigException) and error.options:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
         nearest, options = suggest(option, error.options), ", ".join(error.options)
-        return f"Could not find '{group}/{option}'.{nearest} Options of {group}: {options}."
+        needed = " It needs its package: pip install 'gctd3[sweep]'." if (group, option) == _JOBLIB else ""
+        return f"Could not find '{group}/{option}'.{needed or nearest} Options of {group}: {options}."
     if isinstance(error, OSError):
         return f"{error.strerror}: {error.filename}" if error.filename else str(error)
     if isinstance(error, OverrideParseException):

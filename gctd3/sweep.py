@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -12,13 +11,11 @@ from typing import Any
 from hydra.core.hydra_config import HydraConfig
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
-from gctd3.cli import fail
 from gctd3.interrupt import SIGNALS
 
 STOP = ".stop"  # in the sweep's directory while its runs are to end
-PLUGIN = "hydra_joblib_launcher"
 
 
 def runs_at_once(launcher: DictConfig) -> int:
@@ -65,10 +62,12 @@ class StopTogether(Callback):
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:  # noqa: ANN401 - Hydra's
         """Begin to listen."""
-        if PLUGIN in str(config.hydra.launcher.get("_target_")) and not _installed():
-            fail("hydra/launcher=joblib needs hydra-joblib-launcher: pip install 'gctd3[sweep]'.")
-        if runs_at_once(config.hydra.launcher) == 1:
+        launcher = config.hydra.launcher
+        if runs_at_once(launcher) == 1:
             return
+        # joblib calls it in every process that it starts.
+        with open_dict(launcher):
+            launcher.initializer = {"_target_": "hydra.utils.get_method", "path": f"{__name__}.heed_no_interrupts"}
         self._file = Path(config.hydra.sweep.dir) / STOP
         self._file.unlink(missing_ok=True)
         self._before = {number: signal.signal(number, self._heard) for number in SIGNALS}
@@ -91,10 +90,3 @@ class StopTogether(Callback):
         self._file.parent.mkdir(parents=True, exist_ok=True)
         self._file.touch()
         print("\nFinishing the steps of the runs to save them; once more leaves at once.", flush=True)
-
-
-def _installed() -> bool:
-    try:
-        return find_spec(f"hydra_plugins.{PLUGIN}") is not None
-    except ModuleNotFoundError:
-        return False
