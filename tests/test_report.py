@@ -226,8 +226,8 @@ def test_robustness_of_made_up_runs(pair, tmp_path):
     rows = {row[0]: row[2:] for row in robustness_table(results).rows}
     assert rows["success, mass +20 %"] == ["0.70 (0.50 to 0.90)", "-"]
     # The weakest phases are 2, 3 and 4 N s; backward one phase is unknown in all.
-    assert rows["shove forward survived at the worst moment"] == ["3.0 (2.0 to 4.0)", "-"]
-    assert rows["shove backward survived at the worst moment"] == ["-", "-"]
+    assert rows["shove forward, worst moment"] == ["3.0 (2.0 to 4.0)", "-"]
+    assert rows["shove backward, worst moment"] == ["-", "-"]
     page = report(ReportSettings(str(pair), str(tmp_path / "out")))
     text = page.read_text(encoding="utf-8")
     assert 'id="robustness"' in text and (tmp_path / "out" / "tables" / "robustness.csv").is_file()

@@ -170,12 +170,13 @@ def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table
     for direction in DIRECTIONS:
         impulses = [[weakest(one, direction) for one in results] for results in groups.values()]
         cells = [_range([value for value in values if np.isfinite(value)], 1) for values in impulses]
-        rows.append([f"shove {direction} survived at the worst moment", "N s", *cells])
+        rows.append([f"shove {direction}, worst moment", "N s", *cells])
     perturbations = next(iter(groups.values()))[0]["perturbations"]
     return Table(
         "robustness",
         "Robustness",
-        "Mean over seeds (lowest to highest), each by itself, the policy as it was trained. A shove is survived if the "
+        "Mean over seeds (lowest to highest), each by itself, the policy as it was trained. Shoves: the largest impulse "
+        "that is survived whenever in the stride it comes. A shove is survived if the "
         f"robot goes on for {perturbations['recover']:g} s, at all {perturbations['starts']} starts, and with every "
         f"smaller impulse; {perturbations['impulses'][-1]:g} N s is the largest that was tried.",
         ("", "unit", *groups),
