@@ -35,14 +35,17 @@ STAGES = [
     "settings",
     "cli",
     "train_settings run_config checkpoint",
+    "evaluation",
+    "perturb robustness plot robustness_plot",
     "evaluate",
     "picture graph_picture",
     "render",
     "describe export",
-    "interrupt random_state run_log",
+    "interrupt sweep random_state run_log",
     "trainer",
     "train",
-    "reporting.runs reporting.statistics reporting.verdict reporting.figures reporting.tables reporting.page reporting",
+    "reporting.runs reporting.groups reporting.statistics reporting.verdict reporting.figures reporting.tables "
+    "reporting.filmstrips reporting.page reporting",
     "report",
 ]
 ORDER = [name for stage in STAGES for name in stage.split()]
