@@ -28,6 +28,7 @@ from gctd3.files import checksum
 
 # Time from one step to the next, in control periods: below, the readings are old ones; above, some were missed.
 SHORTEST, LONGEST = 0.5, 1.5
+_LARGEST = float(np.finfo(np.float32).max)
 
 
 class Policy:
@@ -123,18 +124,14 @@ class Policy:
             missing = ", ".join(name for name in self._names if name not in given) or "none"
             extra = ", ".join(sorted(map(str, given - names))) or "none"
             raise self._refuse(f"The readings do not fit the contract: missing {missing}; unknown {extra}.")
-        values = np.empty(len(self._names), dtype=np.float32)
-        for i, name in enumerate(self._names):
-            value = readings[name]
-            try:
-                with np.errstate(over="ignore"):
-                    values[i] = math.nan if isinstance(value, (str, bytes)) else value
-            except (TypeError, ValueError, OverflowError):
-                values[i] = math.nan
-            if not math.isfinite(values[i]):
-                raise self._refuse(f"{name} must be a finite number, got {value!r}.")
-            if self._binary[i] and values[i] not in (0.0, 1.0):
-                raise self._refuse(f"{name} must be 0 or 1, got {value!r}.")
+        values = np.array([_number(readings[name]) for name in self._names], dtype=np.float32)
+        for wrong, expected in (
+            (~np.isfinite(values), "a finite number"),
+            (self._binary & (values != 0.0) & (values != 1.0), "0 or 1"),
+        ):
+            if wrong.any():
+                name = self._names[int(wrong.argmax())]
+                raise self._refuse(f"{name} must be {expected}, got {readings[name]!r}.")
         nodes = self.contract.nodes
         frame = np.zeros((len(nodes), len(nodes[0].features)), dtype=np.float32)
         frame[self._node, self._feature] = values
@@ -167,6 +164,15 @@ class Policy:
 
     def _refuse(self, said: str) -> ReadingError:
         return ReadingError(said, self.command)
+
+
+def _number(value: Any) -> float:  # noqa: ANN401 - whatever a sensor's driver gives
+    """A reading as the network takes it; NaN if it is no number, or too large for float32."""
+    try:
+        number = math.nan if isinstance(value, (str, bytes)) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+    return number if abs(number) <= _LARGEST else math.nan
 
 
 def open_session(model: Path | bytes) -> Any:  # noqa: ANN401 - onnxruntime is untyped
