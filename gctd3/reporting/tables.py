@@ -175,10 +175,10 @@ def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table
     return Table(
         "robustness",
         "Robustness",
-        "Mean over seeds (lowest to highest), each by itself, the policy as it was trained. Shoves: the largest "
-        "impulse that is survived whenever in the stride it comes. A shove is survived if the "
-        f"robot goes on for {perturbations['recover']:g} s, at all {perturbations['starts']} starts, and with every "
-        f"smaller impulse; {perturbations['impulses'][-1]:g} N s is the largest that was tried.",
+        "Mean over seeds (lowest to highest), each by itself, the policy as it was trained. A shove's number is the "
+        "largest impulse that is survived whenever in the stride it comes: the robot goes on for "
+        f"{perturbations['recover']:g} s, at all {perturbations['starts']} starts, and with every smaller impulse; "
+        f"{perturbations['impulses'][-1]:g} N s is the largest that was tried.",
         ("", "unit", *groups),
         rows,
     )
