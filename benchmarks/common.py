@@ -46,7 +46,7 @@ def rates(work: dict[str, Callable[[], float]], rounds: int) -> dict[str, float]
 
 
 def commit() -> str:
-    """The checkout's commit in words."""
+    """The checkout's, with ``-dirty`` behind it if files differ from it; ``unknown`` outside one."""
     describe = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
     return subprocess.run(describe, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
 

@@ -32,7 +32,7 @@ from torch import Tensor, nn
 import gctd3  # noqa: F401 - registers the Gymnasium task
 from gctd3.cli import CONF
 from gctd3.envs.factory import build_env
-from gctd3.evaluate import evaluate
+from gctd3.evaluation import evaluate
 from gctd3.run_log import PROGRESS
 from gctd3.settings import build
 from gctd3.train_settings import COLUMNS, TrainSettings

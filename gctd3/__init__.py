@@ -5,10 +5,9 @@ Light to import: nothing heavy is loaded until it is used.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
-
-import gymnasium
 
 if TYPE_CHECKING:
     from gctd3.checkpoint import load_policy as load_policy
@@ -32,11 +31,15 @@ _HOME = {
 }
 __all__ = sorted(_HOME)
 
-gymnasium.register(
-    id="gctd3/Biped-v0",
-    entry_point="gctd3.envs.gym:BipedEnv",
-    vector_entry_point="gctd3.envs.gym:BipedVectorEnv",
-)
+# On a robot, where gctd3.deploy runs, it may be missing.
+with suppress(ModuleNotFoundError):
+    import gymnasium
+
+    gymnasium.register(
+        id="gctd3/Biped-v0",
+        entry_point="gctd3.envs.gym:BipedEnv",
+        vector_entry_point="gctd3.envs.gym:BipedVectorEnv",
+    )
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - any of the names above

@@ -10,7 +10,7 @@ import contextlib
 import math
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,7 +31,7 @@ from gctd3.files import (
     write_manifest,
 )
 from gctd3.frame_buffer import FrameBuffer
-from gctd3.run_config import load_settings
+from gctd3.run_config import find_run, load_settings
 
 if TYPE_CHECKING:
     from gctd3.replay import StackedBuffer
@@ -42,10 +42,10 @@ STATE, POLICY, REPLAY = "state.safetensors", "policy.safetensors", "replay"
 PACKAGES = ("gctd3", "torch", "torchrl", "tensordict", "mujoco", "dm-control", "numpy")
 
 
-def versions() -> dict[str, str]:
-    """Of the packages that a result depends on."""
+def versions(more: Iterable[str] = ()) -> dict[str, str]:
+    """Of the packages that a result depends on, and of ``more``."""
     found = {}
-    for package in PACKAGES:
+    for package in (*PACKAGES, *more):
         with contextlib.suppress(PackageNotFoundError):
             found[package] = version(package)
     return found
@@ -212,11 +212,11 @@ def checked(path: Path) -> dict[str, Any]:
     return manifest
 
 
-def load_policy(run: str | Path) -> TensorDictModuleBase:
+def load_policy(run: str | Path | None = None) -> TensorDictModuleBase:
     """The best deterministic policy of a run.
 
     Args:
-        run: The run's directory.
+        run: The run's directory; the walking biped that ships with the library if ``None``.
 
     Returns:
         A module that reads ``"nodes"`` ``[*, N, F]`` and writes ``"action"`` ``[*, A]``.
@@ -224,8 +224,9 @@ def load_policy(run: str | Path) -> TensorDictModuleBase:
     Raises:
         RunError: If ``run`` is not a run, has no policy, or is damaged or of another version.
     """
+    run = find_run(run)
     settings = load_settings(run)
-    path = Checkpoints(Path(run)).best()
+    path = Checkpoints(run).best()
     checked(path)
     policy = settings.algo.build(settings.architecture()).policy()
     fit(path / POLICY, lambda: policy.load_state_dict(load_tree(path / POLICY)))

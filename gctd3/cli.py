@@ -11,37 +11,39 @@ from collections.abc import Callable
 from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NoReturn
 
 import hydra
 from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from gctd3.errors import GCTD3Error, suggest
+from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
 
 CONF = "gctd3.conf"
 USAGE_ERROR = 2
 INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
+_JOBLIB = ("hydra/launcher", "joblib")  # an option only where the plugin is installed
+_WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException)
 _USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError)
 
 
-def command(config: str, task: Callable[[DictConfig], None]) -> None:
+def command(config: str, task: Callable[[DictConfig], object]) -> None:
     """Run ``task`` on the configuration that the command line asks for; exit with 2 after a message if it is wrong.
 
     Args:
         config: Name of the root YAML in ``conf/``.
-        task: Gets the resolved configuration.
+        task: Gets the resolved configuration; what it returns is for a sweeper of Hydra's.
     """
     if find_spec(CONF) is None:
-        _fail(
+        fail(
             "gctd3 was imported from a source tree in which it is not installed: "
             "run `pip install -e .` there, or leave it."
         )
-    # What a run is about, in its path.
-    OmegaConf.register_new_resolver("subject", _subject, replace=True)
     sys.argv[1:] = map(_robot_file, sys.argv[1:])
     # Hydra would print and exit; this way its errors come here, to be said in the library's words.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
@@ -54,12 +56,12 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
         # Whoever read the output (`| head`) has had enough; closing stderr keeps Python from complaining at exit.
         sys.stderr.close()
     except _USER_ERRORS as error:
-        _fail(explain(error, config))
+        fail(explain(error, config))
     except (AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         # Hydra's own, of a group given a value that is no option; what the task raises is not for here.
         if GlobalHydra.instance().is_initialized():
             raise
-        _fail(f"The arguments cannot be combined: {error or type(error).__name__}")
+        fail(f"The arguments cannot be combined: {error or type(error).__name__}")
 
 
 def _robot_file(argument: str) -> str:
@@ -77,23 +79,41 @@ def _subject(robot: object, env: str) -> str:
     return Path(str(robot)).stem if env == "walk" else env
 
 
-def _guarded(task: Callable[[DictConfig], None], config: str) -> Callable[[DictConfig], None]:
+# What a run is about, in its path; here, so that processes of a sweep know it too.
+OmegaConf.register_new_resolver("subject", _subject, replace=True)
+
+
+def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[DictConfig], object]:
     """``task``, with its errors said here: Hydra would announce them with a line of its own."""
 
     @functools.wraps(task)
-    def guarded(settings: DictConfig) -> None:
+    def guarded(settings: DictConfig) -> object:
         try:
-            task(settings)
+            return task(settings)
         except _USER_ERRORS as error:
-            _remove_empty(Path(HydraConfig.get().runtime.output_dir))
-            _fail(explain(error, config))
+            _refuse(error, config)
         except RuntimeError as error:
             # PyTorch's way to say that memory is short.
             if "alloc" not in str(error) and "out of memory" not in str(error):
                 raise
-            _fail(explain(MemoryError(str(error).splitlines()[0]), config))
+            _refuse(MemoryError(str(error).splitlines()[0]), config)
 
     return guarded
+
+
+def _refuse(error: Exception, config: str) -> NoReturn:
+    """Say what is wrong, and end the process; of a sweep only the run, unless its settings are wrong."""
+    hydra_config = HydraConfig.get()
+    directory = Path(hydra_config.runtime.output_dir)
+    _remove_empty(directory)
+    said, sweeping = explain(error, config), hydra_config.mode is RunMode.MULTIRUN
+    if sweeping and not isinstance(error, _WRONG_SETTINGS):
+        # The sweep itself fails at its end.
+        print(f"error: {directory}: {said}", file=sys.stderr, flush=True)
+        raise RunError(f"{directory} failed, as was said when it did; the other runs went on.") from None
+    if sweeping and not str(hydra_config.launcher.get("_target_")).startswith("hydra._internal"):
+        raise RunError(said) from None  # for the process that started the sweep to say
+    fail(said)
 
 
 def _remove_empty(directory: Path) -> None:
@@ -115,7 +135,8 @@ def explain(error: Exception, config: str) -> str:
     if isinstance(error, MissingConfigException) and error.options:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
         nearest, options = suggest(option, error.options), ", ".join(error.options)
-        return f"Could not find '{group}/{option}'.{nearest} Options of {group}: {options}."
+        needed = " It needs its package: pip install 'gctd3[sweep]'." if (group, option) == _JOBLIB else ""
+        return f"Could not find '{group}/{option}'.{needed or nearest} Options of {group}: {options}."
     if isinstance(error, OSError):
         return f"{error.strerror}: {error.filename}" if error.filename else str(error)
     if isinstance(error, OverrideParseException):
@@ -163,6 +184,7 @@ def _known_keys(config: str, arguments: list[str]) -> list[str]:
     return walk(composed, "")
 
 
-def _fail(message: str) -> None:
+def fail(message: str) -> NoReturn:
+    """Say what is wrong and end the process, as of wrong usage."""
     print(f"error: {message}", file=sys.stderr)
     raise SystemExit(USAGE_ERROR)

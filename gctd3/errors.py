@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 
 class GCTD3Error(Exception):
@@ -24,6 +24,22 @@ class RunError(GCTD3Error, ValueError):
 
 class NumericalError(GCTD3Error, ArithmeticError):
     """A number is NaN or infinite where it must not be."""
+
+
+class ContractError(GCTD3Error, ValueError):
+    """An exported policy is missing or damaged, does not fit its contract, or is of another robot."""
+
+
+class ReadingError(GCTD3Error, ValueError):
+    """A policy on a robot refuses to act on what it is given.
+
+    Attributes:
+        command: What is safe to send to the servos instead: the last command, by the name of the actuator (rad).
+    """
+
+    def __init__(self, message: str, command: Mapping[str, float]) -> None:
+        super().__init__(message)
+        self.command = dict(command)
 
 
 class RenderError(GCTD3Error, RuntimeError):

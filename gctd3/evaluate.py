@@ -4,180 +4,78 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import torch
 from omegaconf import DictConfig
-from tensordict.nn import TensorDictModuleBase
-from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from gctd3.cli import command
 from gctd3.envs.factory import build_env
-from gctd3.envs.gait import FEATURES
 from gctd3.envs.library import LibrarySettings
 from gctd3.envs.reward import Reward
 from gctd3.episode import LAST_METRES, Episode
-from gctd3.errors import ConfigError, check_seed
-from gctd3.faults import check_finite
-from gctd3.files import write_text
+from gctd3.errors import RunError
+from gctd3.evaluation import Judging, evaluate
+from gctd3.files import new_file, write_text
 from gctd3.gait_summary import OF_STRIDES, summarize
-from gctd3.graph import KinematicGraph
-from gctd3.motion import Recorder
-from gctd3.nodes import foot_slots
 from gctd3.robot import Robot
+from gctd3.robustness import Examination, Perturbations
+from gctd3.robustness import table as robustness_table
 from gctd3.settings import build
 
 # Table 5 of the paper, column GCTD3. Its body position seems to count from the spawn height, 0.0235 m above standing.
 PAPER = {"return_mean": 380.0, "return_std": 18.47, "velocity_mean": 1.414, "body_position_mean": -0.0202}
 EVALUATION, TRACE = "evaluation.json", "trace.csv"
+ROBUSTNESS, ROBUSTNESS_PICTURE = "robustness.json", "robustness.png"
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """Many episodes of one policy.
-
-    Attributes:
-        episodes: The episodes.
-        control_dt: Control period (s).
-    """
-
-    episodes: list[Episode]
-    control_dt: float
-
-    @property
-    def returns(self) -> np.ndarray:
-        """Shape ``[episodes]``."""
-        return np.array([episode.reward.sum() for episode in self.episodes])
-
-    def summary(self) -> dict[str, float | int]:
-        """The headline numbers: means over episodes, ``return_std`` their standard deviation."""
-        episodes = self.episodes
-        return {
-            "episodes": len(episodes),
-            "return_mean": float(self.returns.mean()),
-            "return_std": float(self.returns.std()),
-            "velocity_mean": float(np.mean([e.velocity(self.control_dt) for e in episodes])),
-            "distance_mean": float(np.mean([e.position[-1] for e in episodes])),
-            "success_rate": float(np.mean([e.success for e in episodes])),
-            "body_position_mean": float(np.mean(np.concatenate([e.height for e in episodes]))),
-        }
-
-    @property
-    def typical(self) -> Episode:
-        """The episode whose return is the median one, or just below."""
-        return self.episodes[int(np.argsort(self.returns, kind="stable")[(len(self.episodes) - 1) // 2])]
-
-    def gait(self) -> dict[str, float]:
-        """Gait metrics over the last 10 m, averaged over the episodes that got that far; empty if none did."""
-        gaits = [gait for e in self.episodes if (gait := e.gait(self.control_dt)) is not None]
-        if not gaits:
-            return {}
-        averages = {key: float(np.mean([gait[key] for gait in gaits])) for key in gaits[0]}
-        return {"episodes": len(gaits), **averages}
-
-
-def evaluate(
-    policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int, control_dt: float, record: bool = False
-) -> Evaluation:
-    """Run one episode on every robot of ``env``.
-
-    Args:
-        policy: Reads ``"nodes"``, writes ``"action"``; its mode is taken if it is stochastic.
-        env: Of :func:`gctd3.envs.factory.build_env`, batch size ``[episodes]``.
-        robot: Its robot.
-        seed: Of the starts: equal seeds, equal starts.
-        control_dt: Control period (s).
-        record: Whether to keep each episode's motion; only for the batched backend.
-
-    Raises:
-        NumericalError: If an action of the policy is not finite.
-    """
-    names = KinematicGraph.from_robot(robot).nodes
-    ground, feature = foot_slots(robot).T
-    hips = [names.index(leg[0].name) for leg in robot.legs]
-    count = env.batch_size[0]
-    alive = torch.ones(count, dtype=torch.bool)
-    frames: list[tuple[torch.Tensor, ...]] = []
-    # TorchRL seeds the global generator along with the environment's: a fork keeps that out of the training.
-    with torch.random.fork_rng(devices=[]), torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        env.set_seed(seed)
-        state = env.reset()
-        recorder = Recorder(robot, env.base_env.simulation) if record else None
-        while alive.any():
-            acting = policy(state)
-            check_finite("action", acting["action"])
-            state = env.step(acting)
-            if recorder is not None:
-                recorder.add(acting["action"].numpy().astype(np.float64))
-            after = state["next"]
-            # A policy that sees the task's own observation has what the nodes sense beside it.
-            newest = after.get("sensed", after["nodes"])[..., -FEATURES:]
-            frames.append((alive, after["reward"][:, 0], after["position"][:, 0], newest, after["success"][:, 0]))
-            alive = alive & ~after["done"][:, 0]
-            state = step_mdp(state)
-    lived, reward, position, nodes, success = (torch.stack(column).numpy() for column in zip(*frames, strict=True))
-    lengths = [int(steps) for steps in lived.sum(axis=0)]
-    motions = recorder.motions(lengths) if recorder is not None else [None] * count
-    episodes = []
-    for i, steps in enumerate(lengths):
-        mine = nodes[:steps, i]
-        episodes.append(
-            Episode(
-                reward=reward[:steps, i].astype(np.float64),
-                position=position[:steps, i],
-                height=mine[:, 0, 0],
-                hips=mine[:, hips, 0] * robot.hip_signs,
-                feet_down=mine[:, ground, feature] > 0.5,
-                pairs=tuple((i, other) for i, other in enumerate(robot.mirror_feet) if i < other),
-                success=bool(success[:steps, i].any()),
-                motion=motions[i],
-            )
-        )
-    return Evaluation(episodes, control_dt)
-
-
-@dataclass(frozen=True)
-class EvaluateSettings:
+class EvaluateSettings(Judging):
     """What ``gctd3.evaluate`` is asked to do.
 
     Attributes:
-        run: Directory of the run.
+        run: Directory of the run; the policy that ships with the library if ``None``.
         reward: Under which to judge.
-        episodes: How many, each from its own start.
-        seed: Of the starts.
-        threads: That simulate; all cores if ``None``.
+        out: Directory to write to; the run's if ``None``, nowhere if there is no run either.
+        robustness: Whether to push, load and disturb the robot, too.
+        perturbations: By how much.
     """
 
-    run: str
+    run: str | None
     reward: Reward
-    episodes: int = 50
-    seed: int = 10_000
-    threads: int | None = None
+    out: str | None = None
+    robustness: bool = False
+    perturbations: Perturbations = field(default_factory=Perturbations)
 
-    def __post_init__(self) -> None:
-        if self.episodes < 1:
-            raise ConfigError(f"episodes must be at least 1, got {self.episodes}.")
-        check_seed("seed", self.seed)
+    @property
+    def folder(self) -> Path | None:
+        """Where to write."""
+        place = self.run if self.out is None else self.out
+        return Path(place) if place is not None else None
 
 
 def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
-    """Judge the best policy of a run and write ``evaluation.json`` beside it.
+    """Judge the best policy of a run and write ``evaluation.json`` and ``trace.csv`` to ``settings.folder``.
 
     Returns:
         What was written.
 
     Raises:
-        RunError: If the directory is not a run, or one of another version.
+        RunError: If the directory is not a run, one of another version, or of a task that robustness is not for.
     """
     from gctd3.checkpoint import load_policy, versions
-    from gctd3.run_config import load_settings
+    from gctd3.run_config import find_run, load_settings
 
-    run = Path(settings.run)
+    run, folder = find_run(settings.run), settings.folder
     trained = load_settings(run)
+    if settings.robustness and isinstance(trained.env, LibrarySettings):
+        raise RunError(f"{run} was trained on {trained.env.task}: robustness is for the walking task only.")
     policy = load_policy(run)
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
     robot = trained.load_robot()
     judged = trained.env.judging(settings.episodes, settings.threads)
     env = build_env(robot, judged, settings.reward, settings.seed)
@@ -192,10 +90,44 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
         "versions": versions(),
     }
     report = {key: _finite(value) for key, value in report.items()}
-    if walks:
-        write_text(run / TRACE, trace(result.typical, robot, judged.control_dt))
-    write_text(run / EVALUATION, json.dumps(report, indent=2) + "\n")
+    if folder is not None:
+        if walks:
+            write_text(folder / TRACE, trace(result.typical, robot, judged.control_dt))
+        write_text(folder / EVALUATION, json.dumps(report, indent=2) + "\n")
     return report
+
+
+def examine_run(settings: EvaluateSettings, stride_time: float | None) -> dict[str, Any]:
+    """Try what the best policy of a run stands, and write ``robustness.json``, with matplotlib a picture too.
+
+    Args:
+        settings: As for :func:`evaluate_run`.
+        stride_time: Of its gait (s), if it has strides.
+
+    Returns:
+        What was written, see :meth:`.Examination.results`.
+    """
+    from gctd3.checkpoint import load_policy, versions
+    from gctd3.run_config import find_run, load_settings
+
+    run, folder = find_run(settings.run), settings.folder
+    trained = load_settings(run)
+    env = trained.env.judging(settings.episodes, settings.threads)
+    if isinstance(env, LibrarySettings):
+        raise RunError(f"{run} was trained on {env.task}: robustness is for the walking task only.")
+    examination = Examination(
+        load_policy(run), trained.load_robot(), env, settings.reward, settings.seed, settings.perturbations
+    )
+    results = {**examination.results(stride_time), "reward": asdict(settings.reward), "versions": versions()}
+    if folder is None:
+        return results
+    write_text(folder / ROBUSTNESS, json.dumps(_finite(results), indent=1) + "\n")
+    if find_spec("matplotlib") is not None:
+        from gctd3 import robustness_plot
+
+        with new_file(folder / ROBUSTNESS_PICTURE) as aside:
+            robustness_plot.save(results, aside)
+    return results
 
 
 def trace(episode: Episode, robot: Robot, dt: float) -> str:
@@ -261,7 +193,15 @@ def _task(config: DictConfig) -> None:
     settings: EvaluateSettings = build(config)
     report = evaluate_run(settings)
     print(table(report))
-    print(f"\nWritten to {Path(settings.run) / 'evaluation.json'}")
+    written = [EVALUATION, TRACE]
+    if settings.robustness:
+        gait = report["gait"]
+        results = examine_run(settings, gait.get("stride_time") if isinstance(gait, dict) else None)
+        print(f"\n{robustness_table(results)}")
+        written += [ROBUSTNESS, ROBUSTNESS_PICTURE]
+    if settings.folder is not None:
+        files = [settings.folder / name for name in written]
+        print(f"\nWritten to {' and '.join(str(file) for file in files if file.is_file())}")
 
 
 def main() -> None:

@@ -13,14 +13,15 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 
 from gctd3.errors import RunError
+
+# What runs on a robot reads files too, and has no PyTorch: it is imported where tensors are.
+if TYPE_CHECKING:
+    from torch import Tensor
 
 MANIFEST = "manifest.json"
 TREE = "tree"  # key of the structure in a file's header
@@ -36,7 +37,10 @@ def save_tree(path: Path, tree: Any) -> str:  # noqa: ANN401 - any nesting
     Raises:
         OSError: If it cannot be written.
     """
-    tensors: dict[str, torch.Tensor] = {}
+    from safetensors import SafetensorError
+    from safetensors.torch import save_file
+
+    tensors: dict[str, Tensor] = {}
     structure = _pack(tree, "", tensors)
     try:
         save_file(tensors, str(path), metadata={TREE: json.dumps(structure)})
@@ -54,6 +58,8 @@ def load_tree(path: Path) -> Any:  # noqa: ANN401
     Raises:
         RunError: If the file is missing or damaged.
     """
+    from safetensors import SafetensorError, safe_open
+
     try:
         with safe_open(str(path), framework="pt") as file:
             structure = json.loads((file.metadata() or {})[TREE])
@@ -62,7 +68,9 @@ def load_tree(path: Path) -> Any:  # noqa: ANN401
         raise RunError(f"{path} cannot be read: {error}") from error
 
 
-def _pack(value: Any, path: str, tensors: dict[str, torch.Tensor]) -> Any:  # noqa: ANN401
+def _pack(value: Any, path: str, tensors: dict[str, Tensor]) -> Any:  # noqa: ANN401
+    import torch
+
     if isinstance(value, torch.Tensor):
         tensors[path] = value.detach().to("cpu").contiguous().clone()
         return {"tensor": path}
@@ -112,8 +120,13 @@ def new_directory(path: Path) -> Iterator[Path]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a file that is the old one or the new one, never a part of it."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """The same of bytes."""
     with new_file(path) as aside:
-        aside.write_text(text, encoding="utf-8", newline="")
+        aside.write_bytes(content)
         _flush(aside)
 
 
@@ -135,10 +148,9 @@ def new_file(path: Path) -> Iterator[Path]:
 
 def write_manifest(directory: Path, content: Mapping[str, Any]) -> None:
     """Write ``manifest.json``, with a checksum of itself."""
-    body = json.dumps(content, sort_keys=True)
-    seal = hashlib.sha256(body.encode()).hexdigest()
     path = directory / MANIFEST
-    path.write_text(json.dumps({"sha256": seal, "content": content}, sort_keys=True, indent=1), encoding="utf-8")
+    whole = {"sha256": seal(content), "content": content}
+    path.write_text(json.dumps(whole, sort_keys=True, indent=1), encoding="utf-8")
     _flush(path)
 
 
@@ -152,12 +164,16 @@ def read_manifest(directory: Path) -> dict[str, Any]:
     try:
         whole = json.loads(path.read_text(encoding="utf-8"))
         content: dict[str, Any] = whole["content"]
-        body = json.dumps(content, sort_keys=True)
-        if hashlib.sha256(body.encode()).hexdigest() != whole["sha256"]:
+        if seal(content) != whole["sha256"]:
             raise RunError(f"{path} is damaged: its checksum does not fit.")
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise RunError(f"{path} cannot be read: {error}") from error
     return content
+
+
+def seal(content: Mapping[str, Any]) -> str:
+    """SHA-256 of what JSON can hold, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def check_file(path: Path, expected: str) -> None:

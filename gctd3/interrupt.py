@@ -20,15 +20,19 @@ LOCK = ".lock"
 class StopRequest:
     """Remembers the first SIGINT or SIGTERM; the second one ends the process.
 
+    Args:
+        file: Of a process among several: what stands for the signal, which another process hears.
+
     Attributes:
         signal: The number of the signal, or ``None``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, file: Path | None = None) -> None:
         self.signal: int | None = None
+        self.file = file
 
     def __bool__(self) -> bool:
-        return self.signal is not None
+        return self.signal is not None or (self.file is not None and self.file.exists())
 
     @property
     def exit_code(self) -> int:
@@ -37,8 +41,8 @@ class StopRequest:
 
     @contextlib.contextmanager
     def listening(self) -> Iterator[None]:
-        """Listen for signals meanwhile; only the main thread can, elsewhere this does nothing."""
-        if threading.current_thread() is not threading.main_thread():
+        """Listen for signals meanwhile; only the main thread can, elsewhere or with a file this does nothing."""
+        if self.file is not None or threading.current_thread() is not threading.main_thread():
             yield
             return
         before = {number: signal.signal(number, self._heard) for number in SIGNALS}

@@ -27,7 +27,7 @@ class RenderSettings:
     """What ``gctd3.render`` is asked to do.
 
     Attributes:
-        run: Directory of the run.
+        run: Directory of the run; the policy that ships with the library if ``None``.
         out: ``.png`` for a sheet of frames, ``.gif`` for an animation.
         seed: Of the start.
         camera: Of the MJCF.
@@ -40,7 +40,7 @@ class RenderSettings:
         speed: Of the animation, as a multiple of real time.
     """
 
-    run: str
+    run: str | None
     out: str
     seed: int = 10_000
     camera: str = "side"
@@ -154,13 +154,14 @@ def render_run(settings: RenderSettings) -> Path:
         The file written.
     """
     from gctd3.checkpoint import load_policy
-    from gctd3.run_config import load_settings
+    from gctd3.run_config import find_run, load_settings
 
-    trained = load_settings(settings.run)
+    run = find_run(settings.run)
+    trained = load_settings(run)
     if isinstance(trained.env, LibrarySettings):
-        raise RunError(f"{settings.run} was trained on {trained.env.task}: render draws the walking task only.")
+        raise RunError(f"{run} was trained on {trained.env.task}: render draws the walking task only.")
     robot = trained.load_robot()
-    walk = record(load_policy(settings.run), robot, trained.env, settings.seed)
+    walk = record(load_policy(run), robot, trained.env, settings.seed)
     dt, out, size = trained.env.control_dt, Path(settings.out), (settings.width, settings.height)
     if out.suffix == ".gif":
         # GIF players show 25 frames a second well, 50 badly.

@@ -13,9 +13,12 @@ from omegaconf import DictConfig
 
 import gctd3
 from gctd3.cli import command
-from gctd3.errors import ConfigError, RunError, check_seed
+from gctd3.errors import ConfigError, RenderError, RunError
+from gctd3.evaluate import TRACE
+from gctd3.evaluation import Judging
 from gctd3.files import write_text
-from gctd3.reporting.runs import Run, check_together, evaluated, find_runs, groups_of
+from gctd3.reporting.groups import groups_of
+from gctd3.reporting.runs import Run, check_together, evaluated, find_runs
 from gctd3.robot import Robot
 from gctd3.settings import build
 
@@ -27,27 +30,16 @@ NEEDED = ("rliable", "matplotlib")
 
 
 @dataclass(frozen=True)
-class ReportSettings:
-    """What ``gctd3.report`` is asked to do.
+class ReportSettings(Judging):
+    """What ``gctd3.report`` is asked to do; the judging is that of runs that have no evaluation.
 
     Attributes:
         runs: Directory below which the runs are.
         out: Directory to write to.
-        episodes: Of the evaluation of runs that have none.
-        seed: Of its starts.
-        threads: That simulate; all cores if ``None``.
     """
 
     runs: str
     out: str
-    episodes: int = 50
-    seed: int = 10_000
-    threads: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.episodes < 1:
-            raise ConfigError(f"episodes must be at least 1, got {self.episodes}.")
-        check_seed("seed", self.seed)
 
 
 def report(settings: ReportSettings) -> Path:
@@ -65,7 +57,7 @@ def report(settings: ReportSettings) -> Path:
         raise ConfigError(f"report needs {', '.join(missing)}: pip install 'gctd3[report]'.")
     runs = find_runs(Path(settings.runs))
     check_together(runs)
-    runs = evaluated(runs, settings.episodes, settings.seed, settings.threads)
+    runs = evaluated(runs, settings)
     if all(run.evaluation is None for run in runs):
         raise RunError(f"None of the {len(runs)} runs below {settings.runs} could be evaluated: {runs[0].failure}")
     return write(groups_of(runs), Path(settings.out))
@@ -119,7 +111,8 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path) -> Path:
     sections: list[tuple[str, list[object]]] = [
         ("Learning", [*learning]),
         ("Table 5", [table5, *compared]),
-        ("Gait", [tables.gaits(groups), *(_traces(groups, robot, gallery) if robot is not None else [])]),
+        ("Gait", [tables.gaits(groups), *(_gait_pictures(groups, robot, gallery) if robot is not None else [])]),
+        ("Robustness", _robustness(groups, gallery)),
         ("Runs", [tables.runs_table(groups)]),
         ("Settings", [tables.settings_table(groups)] if len(groups) > 1 else []),
     ]
@@ -135,24 +128,59 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path) -> Path:
     return out / PAGE
 
 
-def _traces(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: Gallery) -> list[object]:
+def _gait_pictures(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: Gallery) -> list[object]:
+    from gctd3.reporting import figures
+    from gctd3.reporting.filmstrips import filmstrip, median
+
+    found: list[object] = []
+    for group, runs in groups.items():
+        run, i = median(runs), re.sub(r"\W+", "_", group)
+        if run is None:
+            continue
+        try:
+            caption = "One stride of the policy whose return is the group's median, in equal steps of time."
+            strip = filmstrip(run, robot)
+            found.append(gallery.add_image(strip, f"film_{i}", f"{group}, seed {run.seed}: a stride", caption))
+        except RenderError as error:
+            found.append(f"{group}: no filmstrip. {error}")
+        found += _traces(group, figures.typical(runs), robot, gallery)
+    return found
+
+
+def _traces(group: str, run: Run | None, robot: Robot, gallery: Gallery) -> list[object]:
     from gctd3.reporting import figures
 
-    typical = {group: run for group, runs in groups.items() if (run := figures.typical(runs)) is not None}
+    if run is None or run.trace is None:
+        return [f"{group}: no joint traces and no contacts, for its runs have no {TRACE}; evaluate them again for it."]
     found: list[object] = []
-    paired = bool(figures.joint_pairs(robot))
-    for group, run in typical.items():
-        if run.trace is None:
-            continue
-        whose, i = f"{group}, seed {run.seed}", re.sub(r"\W+", "_", group)
-        if paired:
-            figure = figures.joint_traces(run.trace, robot)
-            found.append(gallery.add(figure, f"joints_{i}", f"{whose}: joints, right against left", "The last 3 s."))
-            figure = figures.phase_portraits(run.trace, robot)
-            caption = "Past the first third of the episode; one closed loop is a motion that repeats."
-            found.append(gallery.add(figure, f"phase_{i}", f"{whose}: phase portraits", caption))
-        figure = figures.contacts(run.trace, robot)
-        found.append(gallery.add(figure, f"contacts_{i}", f"{whose}: feet on the ground", "The last 3 s."))
+    whose, i = f"{group}, seed {run.seed}", re.sub(r"\W+", "_", group)
+    if figures.joint_pairs(robot):
+        figure = figures.joint_traces(run.trace, robot)
+        found.append(gallery.add(figure, f"joints_{i}", f"{whose}: joints, right against left", "The last 3 s."))
+        figure = figures.phase_portraits(run.trace, robot)
+        caption = "Past the first third of the episode; one closed loop is a motion that repeats."
+        found.append(gallery.add(figure, f"phase_{i}", f"{whose}: phase portraits", caption))
+    figure = figures.contacts(run.trace, robot)
+    found.append(gallery.add(figure, f"contacts_{i}", f"{whose}: feet on the ground", "The last 3 s."))
+    return found
+
+
+def _robustness(groups: Mapping[str, Sequence[Run]], gallery: Gallery) -> list[object]:
+    from gctd3 import robustness_plot
+    from gctd3.reporting import tables
+
+    examined = {group: [r.robustness for r in runs if r.robustness] for group, runs in groups.items()}
+    examined = {group: results for group, results in examined.items() if results}
+    if not examined:
+        return []
+    found: list[object] = [tables.robustness_table(examined)]
+    figure = robustness_plot.conditions_figure(examined)
+    caption = "The mean over seeds; a stroke for each seed."
+    found.append(gallery.add(figure, "conditions", "Success under other conditions", caption))
+    shoves = robustness_plot.shoves_figure(examined)
+    if shoves is not None:
+        caption = "The largest impulse on the body up to which all starts survive; the mean over seeds."
+        found.append(gallery.add(shoves, "shoves", "Shoves survived over the stride", caption))
     return found
 
 

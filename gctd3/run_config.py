@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,6 +35,11 @@ HARMLESS = (
     "stop_when",
     "resume",
 )
+
+
+def find_run(run: str | Path | None) -> Path:
+    """The directory of a run; of the walking biped that ships with the library if it is ``None``."""
+    return Path(run) if run is not None else Path(str(resources.files("gctd3.models"))) / "biped" / "policy"
 
 
 def load_config(run: str | Path) -> DictConfig:

@@ -22,7 +22,7 @@ from gctd3.collector import InlineCollector
 from gctd3.device import pick_device
 from gctd3.envs.factory import EnvSettings, build_env
 from gctd3.errors import NumericalError
-from gctd3.evaluate import evaluate
+from gctd3.evaluation import evaluate
 from gctd3.exploration import Explorer
 from gctd3.faults import check_collected, check_losses
 from gctd3.files import new_directory, save_tree, write_manifest

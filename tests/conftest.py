@@ -3,6 +3,7 @@
 import pytest
 import torch
 from hypothesis import settings
+from running import command
 
 from gctd3.envs.gait import WalkingTask
 from gctd3.graph import KinematicGraph
@@ -33,3 +34,13 @@ def graph(robot):
 @pytest.fixture(scope="session")
 def task(robot):
     return WalkingTask(robot)
+
+
+@pytest.fixture(scope="session")
+def exported(tmp_path_factory):
+    """The ONNX file of the policy that ships with the library; its contract is beside it."""
+    pytest.importorskip("onnxscript")
+    pytest.importorskip("onnxruntime")
+    file = tmp_path_factory.mktemp("exported") / "policy.onnx"
+    assert command("export", f"out={file}", "episodes=2", "threads=1") == 0
+    return file

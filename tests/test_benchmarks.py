@@ -14,6 +14,15 @@ from pathlib import Path
 import pytest
 
 BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
+BENCHED = [
+    "env_throughput",
+    "inference_latency",
+    "learner_throughput",
+    "peers",
+    "scaling",
+    "ship_policy",
+    "time_to_gait",
+]
 
 
 @pytest.fixture(autouse=True)
@@ -39,7 +48,7 @@ def run(gait_table, contender, minutes, outcome="reached", seed=0, **row):
     return gait_table.Run(contender, seed, outcome, minutes, [evaluation(**row)])
 
 
-@pytest.mark.parametrize("name", ["env_throughput", "learner_throughput", "peers", "scaling", "time_to_gait"])
+@pytest.mark.parametrize("name", BENCHED)
 def test_an_unknown_option_exits_with_the_accepted_ones(name, monkeypatch):
     benchmark = importlib.import_module(name)
     monkeypatch.setattr(sys, "argv", [f"{name}.py", "ouput=x.json", "--help"])
@@ -52,6 +61,21 @@ def test_an_unknown_option_exits_with_the_accepted_ones(name, monkeypatch):
 )
 def test_a_walk_is_every_episode_at_the_finish_with_the_papers_return(gait_table, success, reward, passed):
     assert gait_table.passes(evaluation(success, reward)) is passed
+
+
+def test_memory_is_compared_once_the_replay_is_full():
+    memory = importlib.import_module("memory")
+    # It fills up to 500 MB, then grows by 1 MB a sample.
+    samples = [(i / 6, 1000 * i, min(500.0, 100.0 * i)) for i in range(10)]
+    samples += [(i / 6, 1000 * i, 500.0 + i - 10) for i in range(10, 30)]
+    assert memory.growth(samples, capacity=10_000) == (500.5, 518.5)
+    with pytest.raises(SystemExit, match="full in 5 samples, of at least 10: train longer"):
+        memory.growth(samples, capacity=25_000)
+
+
+def test_resident_memory_is_what_python_itself_counts():
+    usage = pytest.importorskip("resource").getrusage(0).ru_maxrss / 1e3  # kB, the most that there was
+    assert 0 < importlib.import_module("memory").resident(os.getpid()) < 1.1 * 1.024 * usage
 
 
 def test_progress_is_read_up_to_its_last_whole_row(gait_table, tmp_path):
@@ -225,3 +249,17 @@ def test_scaling_sizes_and_graphs():
     tree = scaling.random_tree(16)
     assert (tree.num_nodes, len(tree.edges)) == (16, 15)
     assert scaling.per_robot({"a": {4: 2.0}}) == {"a": {4: 500.0}}
+
+
+def test_latency_times_every_call_and_takes_the_ways_in_turn():
+    latency = importlib.import_module("inference_latency")
+    calls = []
+    work = {name: lambda i, name=name: calls.append((name, i)) for name in ("a", "b")}
+    times = latency.measure(work, calls=6, rounds=2)
+    assert {name: len(values) for name, values in times.items()} == {"a": 6, "b": 6}
+    warm = latency.WARM_UP
+    assert calls[: 2 * warm] == [("a", i) for i in range(warm)] + [("b", i) for i in range(warm)]
+    assert calls[2 * warm :] == [(name, warm + 3 * turn + i) for turn in (0, 1) for name in "ab" for i in range(3)]
+    # 1 to 101: the median is 51, and a hundredth of the way from 101 back is 100.
+    found = latency.percentiles([float(x) for x in range(1, 102)])
+    assert found == {"p50": 51.0, "p99": pytest.approx(100.0), "max": 101.0}

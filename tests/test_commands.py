@@ -184,9 +184,8 @@ def test_a_run_that_cannot_be_used_is_answered(capsys, broken, case):
     assert not (broken / "evaluation.json").exists()
 
 
-@pytest.mark.parametrize("name", ["evaluate", "render"])
+@pytest.mark.parametrize("name", ["evaluate", "export", "render"])
 def test_a_run_that_is_not_there_is_answered(capsys, tmp_path, name):
-    assert answer(capsys, name) == "error: run=... is required; --help shows how.\n"
     assert str(tmp_path / "nowhere") in answer(capsys, name, f"run={tmp_path / 'nowhere'}")
     assert "not a run" in answer(capsys, name, f"run={tmp_path}")
     assert list(tmp_path.iterdir()) == []
@@ -199,6 +198,10 @@ def test_a_run_that_is_not_there_is_answered(capsys, tmp_path, name):
         ("evaluate", "threads=0", "threads must be at least 1"),
         ("evaluate", "seed=-1", "seed must be at least 0 and below 2^32, got -1."),
         ("evaluate", "episode=3", "Did you mean 'episodes'?"),
+        ("export", "episodes=0", "episodes must be at least 1, got 0."),
+        ("export", "max_rate=0", "max_rate must be above 0 rad/s, or null, got 0.0."),
+        ("export", "out=policy.pth", "out must end in .onnx or .pt2, got 'policy.pth'."),
+        ("export", "out=nowhere/policy.onnx", "nowhere"),
         ("render", "width=0", "width must be at least 1, got 0."),
         ("render", "out=walk.bmp", "out must end in .png or .gif, got 'walk.bmp'."),
         ("render", "out=nowhere/walk.png", "nowhere"),

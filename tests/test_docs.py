@@ -11,14 +11,16 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 
 
-def test_readme_python_runs():
+def test_readme_python_runs(exported, monkeypatch):
+    monkeypatch.chdir(exported.parent)
     blocks = re.findall(r"^```python\n(.*?)^```", README, flags=re.M | re.S)
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     names: dict[str, object] = {}
     for block in blocks:
         exec(block, names)
     assert names["rollout"].batch_size == (64, 100)
     assert names["envs"].num_envs == 64
+    assert list(names["command"]) == list(names["policy"].command) and len(names["command"]) == 6
 
 
 def test_readme_links_lead_somewhere():

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 import pytest
+from running import TINY, rows
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NAMES = sorted(file.stem for file in EXAMPLES.glob("*.py"))
@@ -16,8 +17,8 @@ def _examples(monkeypatch):
     monkeypatch.syspath_prepend(str(EXAMPLES))
 
 
-def test_there_are_three():
-    assert NAMES == ["ppo_walker", "sac_gymnasium", "transfer"]
+def test_there_are_four():
+    assert NAMES == ["ppo_walker", "sac_gymnasium", "transfer", "tune"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -30,6 +31,8 @@ def test_is_short_and_imports_graphs_nodes_and_networks_only(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_help(name, capsys):
+    if name == "tune":
+        pytest.importorskip("optuna", minversion="4")
     module = importlib.import_module(name)
     with pytest.raises(SystemExit) as end:
         module.main(["--help"])
@@ -56,3 +59,15 @@ def test_transfer(tmp_path):
     result = importlib.import_module("transfer").main(["--source", "Walker2d-v5", "--target", "Hopper-v5", *few])
     assert set(result) == {"transferred", "scratch"} and all(map(math.isfinite, result.values()))
     assert (tmp_path / "weights.pt").stat().st_size > 0
+
+
+def test_tune_goes_on_where_it_stopped(tmp_path):
+    pytest.importorskip("optuna", minversion="4")
+    settings = [f"{key}={value}" for key, value in TINY.items() if key not in ("total_frames", "updates")]
+    few = ["--frames", "240", "--out", str(tmp_path / "out"), *settings]
+    tune = importlib.import_module("tune").main
+    first = tune(["--trials", "1", *few])
+    assert tune(["--trials", "2", *few]) >= first
+    assert {run.name for run in (tmp_path / "out").glob("trial?")} == {"trial0", "trial1"}
+    best = max(float(row["return_mean"]) for run in (tmp_path / "out").glob("trial?") for row in rows(run))
+    assert tune(["--trials", "2", *few]) == best

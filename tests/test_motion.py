@@ -15,7 +15,8 @@ from gctd3.envs.factory import EnvSettings, build_env
 from gctd3.envs.reward import Reward
 from gctd3.envs.simulation import Simulation
 from gctd3.episode import Episode
-from gctd3.evaluate import evaluate, table, trace
+from gctd3.evaluate import table, trace
+from gctd3.evaluation import evaluate
 from gctd3.gait_metrics import strides
 from gctd3.gait_summary import OF_STRIDES, summarize
 from gctd3.motion import Motion, Recorder, Servos, leg_length, soles, total_mass

@@ -17,6 +17,7 @@ ROOT = Path(gctd3.__file__).parent
 STAGES = [
     "errors",
     "files",
+    "contract deploy",
     "mjcf shapes feet mirror base robot",
     "nodes graph",
     "reflection",
@@ -34,13 +35,17 @@ STAGES = [
     "settings",
     "cli",
     "train_settings run_config checkpoint",
+    "evaluation",
+    "perturb robustness plot robustness_plot",
     "evaluate",
     "picture graph_picture",
     "render",
-    "interrupt random_state run_log",
+    "describe export",
+    "interrupt sweep random_state run_log",
     "trainer",
     "train",
-    "reporting.runs reporting.statistics reporting.verdict reporting.figures reporting.tables reporting.page reporting",
+    "reporting.runs reporting.groups reporting.statistics reporting.verdict reporting.figures reporting.tables "
+    "reporting.filmstrips reporting.page reporting",
     "report",
 ]
 ORDER = [name for stage in STAGES for name in stage.split()]
@@ -101,6 +106,7 @@ def test_the_front_door_imports_nothing_until_it_is_used():
     "module, absent",
     [
         # What each stage can be used without: the graph without PyTorch, the networks without Hydra.
+        ("gctd3.deploy", ("torch", "torchrl", "hydra", "dm_control", "mujoco", "safetensors")),
         ("gctd3.robot", ("torch", "torchrl", "hydra", "dm_control")),
         ("gctd3.graph", ("torch", "torchrl", "hydra", "dm_control")),
         ("gctd3.envs.gait", ("torch", "torchrl", "hydra", "dm_control")),

@@ -16,9 +16,10 @@ from rliable import metrics
 
 from gctd3.report import ReportSettings, report
 from gctd3.reporting.figures import inline
-from gctd3.reporting.runs import check_together, differences, find_runs, groups_of
+from gctd3.reporting.groups import differences, groups_of
+from gctd3.reporting.runs import check_together, find_runs
 from gctd3.reporting.statistics import Interval, higher, improvement, interval, intervals, iqm, profile
-from gctd3.reporting.tables import runs_table, spawn_height, table5
+from gctd3.reporting.tables import robustness_table, runs_table, spawn_height, table5
 from gctd3.reporting.verdict import comparison, verdict
 
 # Statistics.
@@ -149,6 +150,26 @@ def test_groups_of_one_algorithm_are_told_apart_by_what_differs(tmp_path):
     assert set(groups_of(find_runs(tmp_path))) == {"gctd3 graph=tree", "gctd3 graph=edgeless", "gctd3 per_joint"}
 
 
+def test_options_name_groups_before_values_do(tmp_path):
+    make(tmp_path, "a0", overrides=["experiment=table5"])
+    make(tmp_path, "b0", overrides=["experiment=table5_best"], change={"algo.tau": 0.1})
+    make(tmp_path, "c0", overrides=["experiment=table5_best"], change={"algo.tau": 0.2})
+    make(tmp_path, "d0", overrides=["experiment=table5", "algo=td3"], change={"algo.tau": 0.3})
+    assert list(groups_of(find_runs(tmp_path))) == [
+        "gctd3 table5",
+        "gctd3 table5_best tau=0.1",
+        "gctd3 table5_best tau=0.2",
+        "td3",
+    ]
+
+
+def test_seeds_of_random_graphs_are_seeds(tmp_path):
+    for seed in range(2):
+        make(tmp_path, f"a{seed}", change={"robot.graph": "random", "robot.graph_seed": seed})
+    groups = groups_of(find_runs(tmp_path))
+    assert {group: len(runs) for group, runs in groups.items()} == {"gctd3": 2}
+
+
 @pytest.mark.parametrize(
     "change, said",
     [
@@ -184,6 +205,45 @@ def test_failed_seeds_are_counted(tmp_path, capsys):
     assert "2 of 3 seeds reach the finish in every episode; 1 failed and have no numbers." in text
     assert "2 of 3" in text and "failed: " in text
     assert "evaluating" in capsys.readouterr().err
+
+
+def examined(run, success, impulses, phases=(4.0, 2.0)):
+    """What ``robustness=true`` leaves."""
+    found = {
+        "perturbations": {"impulses": impulses, "starts": 3, "recover": 3.0},
+        "mass_kg": 10.0,
+        "conditions": {"as trained": {"success_rate": 1.0}, "mass +20 %": {"success_rate": success}},
+        "shoves": {"largest": {"forward": list(phases), "backward": [None, 4.0]}},
+    }
+    (run / "robustness.json").write_text(json.dumps(found))
+
+
+def test_robustness_of_made_up_runs(pair, tmp_path):
+    for seed, success in enumerate([0.5, 0.7, 0.9]):
+        examined(pair / f"a{seed}", success, [2.0, 4.0], (4.0, 2.0 + seed))
+    groups = groups_of(find_runs(pair))
+    results = {"gctd3": [run.robustness for run in groups["gctd3"]], "td3": []}
+    rows = {row[0]: row[2:] for row in robustness_table(results).rows}
+    assert rows["success, mass +20 %"] == ["0.70 (0.50 to 0.90)", "-"]
+    # The weakest phases are 2, 3 and 4 N s; backward one phase is unknown in all.
+    assert rows["shove forward, worst moment"] == ["3.0 (2.0 to 4.0)", "-"]
+    assert rows["shove backward, worst moment"] == ["-", "-"]
+    page = report(ReportSettings(str(pair), str(tmp_path / "out")))
+    text = page.read_text(encoding="utf-8")
+    assert 'id="robustness"' in text and (tmp_path / "out" / "tables" / "robustness.csv").is_file()
+    assert {"conditions", "shoves"} <= {file.stem for file in (tmp_path / "out" / "figures").glob("*.svg")}
+    examined(pair / "a1", 0.5, [3.0, 4.0])
+    with pytest.raises(RunError, match=r"what robustness\.json tried"):
+        check_together(find_runs(pair))
+    (pair / "a1" / "robustness.json").write_text("{}")
+    with pytest.raises(RunError, match="lacks conditions"):
+        find_runs(pair)
+
+
+def test_what_there_is_no_trace_and_no_policy_for_is_said(pair, tmp_path):
+    text = report(ReportSettings(str(pair), str(tmp_path / "out"))).read_text(encoding="utf-8")
+    assert "gctd3: no filmstrip. " in text and "gctd3: no joint traces and no contacts" in text
+    assert "trace.csv; evaluate them again" in text
 
 
 def test_the_verdict_of_made_up_runs(pair):
@@ -241,12 +301,20 @@ def test_from_trainings_to_the_page(tmp_path, monkeypatch, capsys):
     assert all((tmp_path / "runs" / a / s / "evaluation.json").is_file() for a in ("gctd3", "td3") for s in "01")
     text = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     # Nothing is fetched from anywhere.
-    assert not re.findall(r'(?:src|href)="(?!#)', text) and "@import" not in text and "url(http" not in text
+    assert (
+        not re.findall(r'(?:src|href)="(?!#|data:image/jpeg;base64,)', text)
+        and "@import" not in text
+        and "url(http" not in text
+    )
     assert "prefers-color-scheme: dark" in text and 'name="viewport"' in text
     ids = re.findall(r'\bid="([^"]+)"', text)
     assert len(ids) == len(set(ids))
     names = {file.stem for file in (tmp_path / "out" / "figures").glob("*.svg")}
-    assert names == {file.stem for file in (tmp_path / "out" / "figures").glob("*.png")}
+    pixels = {file.stem for file in (tmp_path / "out" / "figures").glob("*.png")}
+    # Where there is nothing to draw with, the page says so.
+    films = {"film_gctd3", "film_td3"}
+    assert pixels == names | films or (pixels == names and text.count("no filmstrip. ") == 2)
+    assert text.count("data:image/jpeg") == len(pixels - names)
     assert {"curve_frames", "curve_wall_s", "curve_train_episodes", "performance_profile", "improvement"} <= names
     assert {"body_height", "joints_gctd3", "phase_gctd3", "contacts_td3"} <= names
     for file in (tmp_path / "out" / "figures").glob("*.svg"):

@@ -3,7 +3,7 @@
 import shutil
 
 import pytest
-from test_report import make
+from test_report import examined, make
 
 pytest.importorskip("rliable")
 api = pytest.importorskip("playwright.sync_api")
@@ -17,7 +17,7 @@ def page_file(tmp_path_factory):
 
     root = tmp_path_factory.mktemp("report")
     for seed in range(3):
-        make(root / "runs", f"a{seed}", 500.0 + seed)
+        examined(make(root / "runs", f"a{seed}", 500.0 + seed), 0.8, [2.0, 4.0])
         make(root / "runs", f"b{seed}", 400.0 + seed, overrides=["algo=td3"], change={"algo.tau": 0.01})
     return report(ReportSettings(str(root / "runs"), str(root / "out")))
 

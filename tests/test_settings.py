@@ -13,12 +13,15 @@ from hydra.utils import get_object
 from gctd3.algorithms.base import AlgorithmSettings
 from gctd3.envs.reward import Endings, Reward
 from gctd3.envs.simulation import Start
+from gctd3.evaluate import EvaluateSettings
+from gctd3.robustness import Perturbations
 from gctd3.settings import build
 from gctd3.train_settings import TrainSettings
 
 CONF = Path(str(files("gctd3.conf")))
 ALGORITHMS, NETWORKS = (sorted(file.stem for file in (CONF / group).glob("*.yaml")) for group in ("algo", "network"))
-OPTIONS = sorted((file.parent.name, file.stem) for file in CONF.glob("*/*.yaml"))
+OF_EVALUATE = "perturbations"  # a group that training does not have
+OPTIONS = sorted((file.parent.name, file.stem) for file in CONF.glob("*/*.yaml") if file.parent.name != OF_EVALUATE)
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +69,16 @@ def test_any_algorithm_takes_any_experiment(experiment, algorithm):
     build(composed(f"experiment={experiment}", f"algo={algorithm}"))
 
 
-@pytest.mark.parametrize("root", ["evaluate", "render"])
+def test_perturbations_build():
+    assert build(composed("run=x", root="evaluate")).perturbations == Perturbations()
+    for file in (CONF / OF_EVALUATE).glob("*.yaml"):
+        assert isinstance(build(composed("run=x", f"{OF_EVALUATE}={file.stem}", root="evaluate")), EvaluateSettings)
+
+
+@pytest.mark.parametrize("root", ["evaluate", "export", "render", "report"])
 def test_the_other_commands_build(root):
-    assert build(composed("run=somewhere", root=root)).run == "somewhere"
+    key = "runs" if root == "report" else "run"
+    assert getattr(build(composed(f"{key}=somewhere", root=root)), key) == "somewhere"
 
 
 def test_yaml_and_python_agree_on_the_papers_task(default):
@@ -124,7 +134,7 @@ def test_every_key_has_a_comment():
     assert len(seen) > 60 and not missing
 
 
-@pytest.mark.parametrize("root", ["config", "evaluate", "render"])
+@pytest.mark.parametrize("root", ["config", "evaluate", "export", "render", "report"])
 def test_every_key_is_a_parameter_and_every_parameter_a_key(root):
     def check(node, path=""):
         if "_target_" in node:
@@ -133,4 +143,5 @@ def test_every_key_is_a_parameter_and_every_parameter_a_key(root):
             if isinstance(value, dict):
                 check(value, f"{path}.{key}")
 
-    check(composed("run=x", root=root) if root != "config" else composed())
+    given = {"config": [], "report": ["runs=x"]}.get(root, ["run=x"])
+    check(composed(*given, root=root))

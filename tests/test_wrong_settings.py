@@ -141,7 +141,7 @@ def test_a_missing_key_is_named(default, key):
 
 def test_a_mandatory_value_that_was_not_given_is_named():
     with initialize_config_module("gctd3.conf", version_base="1.3"):
-        assert "run" in fails(compose("evaluate"))
+        assert fails(compose("report")).startswith("runs=... is required")
 
 
 @pytest.mark.parametrize("target", ["gctd3.nowhere.X", "gctd3.nn.Nothing", "", "gctd3.nn", "gctd3.__version__", None])

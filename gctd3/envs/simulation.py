@@ -92,6 +92,11 @@ class Simulation:
         """Generalised positions, shape ``[N, nq]``."""
         return self.state[:, self._qpos]
 
+    @property
+    def qvel(self) -> np.ndarray:
+        """Generalised velocities, shape ``[N, nv]``."""
+        return self.state[:, self._qvel]
+
     def reset(self, mask: np.ndarray) -> None:
         """Start a new episode for the robots where ``mask`` (bool ``[N]``) holds."""
         robots = np.flatnonzero(mask)

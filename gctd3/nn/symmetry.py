@@ -74,7 +74,8 @@ class Symmetric(nn.Module):
         mirrored += [reflect(x) for reflect, x in zip((self.action, self.counters), inputs[1:], strict=False)]
         dims = [-3, *[-2] * len(beside)]
         both = function(*(torch.cat(pair, dim=dim) for *pair, dim in zip(inputs, mirrored, dims, strict=True)))
-        seen, reflected = both.chunk(2, dim=-2)
+        # Not chunk: of a batch of unknown size PyTorch's ONNX exporter cannot halve it.
+        seen, reflected = both.reshape(*both.shape[:-2], 2, -1, both.shape[-1]).unbind(-3)
         out = 0.5 * (seen + self.out(reflected))
         return out.squeeze(-2) if lonely else out
 

@@ -2,48 +2,28 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from PIL import Image
 
+from gctd3.plot import COLOURS, INK, LEFT, RIGHT, STYLE, colours, legend, new
 from gctd3.reporting.runs import Run
 from gctd3.reporting.statistics import improvement, intervals, profile
 from gctd3.reporting.verdict import scores
 from gctd3.robot import Robot
 
-# Told apart with every kind of colour vision, on white and on black (Okabe & Ito 2008, evened out in lightness).
-COLOURS = ("#2a7fc1", "#d9822b", "#1a9a72", "#c45a9b", "#8c7ae6", "#b0a01e", "#d1495b", "#4db6c6")
-RIGHT, LEFT = COLOURS[0], COLOURS[1]
-INK = "#010203"  # of text and axes; stands for the page's own colour there
-WIDTH, HEIGHT = 4.6, 2.9  # inches
 SECONDS = 3.0  # of the traces
 POINTS = 60  # of a curve
-STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "font.size": 9,
-    "font.family": "sans-serif",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.alpha": 0.18,
-    "grid.color": INK,
-    "text.color": INK,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "axes.titlesize": 9,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "figure.constrained_layout.use": True,
-}
 
 
 @dataclass(frozen=True)
@@ -54,13 +34,13 @@ class Picture:
         name: Of its files.
         title: Above it.
         caption: Below it.
-        svg: Of the page: transparent, in the page's own text colour.
+        body: Of the page, as HTML: an SVG, transparent, in the page's own text colour; or an image.
     """
 
     name: str
     title: str
     caption: str
-    svg: str
+    body: str
 
 
 class Gallery:
@@ -85,6 +65,14 @@ class Gallery:
             figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
         return Picture(name, title, caption, inline(stream.getvalue(), name, title))
 
+    def add_image(self, image: Image.Image, name: str, title: str, caption: str) -> Picture:
+        """Save pixels as PNG, and make them a picture for the page."""
+        image.save(self.directory / f"{name}.png")
+        stream = io.BytesIO()
+        image.save(stream, format="JPEG", quality=80, optimize=True)
+        data = base64.b64encode(stream.getvalue()).decode()
+        return Picture(name, title, caption, f'<img alt="{_escaped(title)}" src="data:image/jpeg;base64,{data}">')
+
 
 def inline(svg: str, name: str, title: str) -> str:
     """An SVG of matplotlib's to stand in a page: sized by it, in its text colour, with ids of its own."""
@@ -94,18 +82,6 @@ def inline(svg: str, name: str, title: str) -> str:
     body = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', body)
     body = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", body)
     return re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', body)
-
-
-def colours(groups: Sequence[str]) -> dict[str, str]:
-    """A colour for each group."""
-    return {group: COLOURS[i % len(COLOURS)] for i, group in enumerate(groups)}
-
-
-def new(rows: int = 1, columns: int = 1, height: float = HEIGHT, sharex: bool = False) -> tuple[Figure, np.ndarray]:
-    """A figure of the report's width with axes ``[rows, columns]``."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
-        return figure, figure.subplots(rows, columns, squeeze=False, sharex=sharex)
 
 
 def curves(groups: Mapping[str, Sequence[Run]], x: str, label: str, scale: float = 1.0) -> Figure | None:
@@ -131,7 +107,7 @@ def curves(groups: Mapping[str, Sequence[Run]], x: str, label: str, scale: float
             ax.fill_between(grid, *ends, color=colour, alpha=0.18, lw=0)
         ax.plot(*np.array([line[-1] for line in lines]).T, "o", color=colour, ms=3, alpha=0.7)
     ax.set(xlabel=label, ylabel="return")
-    _legend(ax)
+    legend(ax)
     return figure if found else None
 
 
@@ -149,7 +125,7 @@ def performance(groups: Mapping[str, Sequence[Run]]) -> Figure:
             if np.isfinite(ends).all():
                 axes[0, 0].fill_between(thresholds, *ends, color=colour, alpha=0.15, lw=0)
     axes[0, 0].set(xlabel="return", ylabel="share of runs above it", ylim=(-0.03, 1.03))
-    _legend(axes[0, 0])
+    legend(axes[0, 0])
     return figure
 
 
@@ -197,7 +173,7 @@ def joint_traces(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
         for name, colour in ((first, RIGHT), (second, LEFT)):
             angle = trace[f"angle_{name}_rad"][late] * (1.0 if name == first else robot.mirror_sign(second))
             ax.plot(trace["time_s"][late], angle, color=colour, lw=1.4, label=name.replace("_", " "))
-        _legend(ax, above=True)
+        legend(ax, above=True)
         ax.set_ylabel("rad")
     axes[-1, 0].set_xlabel("time, s")
     return figure
@@ -214,7 +190,7 @@ def body_height(groups: Mapping[str, Sequence[Run]]) -> Figure:
             axes[0, 0].plot(time - time[-1], run.trace["height_m"][late], color=colour, lw=1.3, label=group)
     axes[0, 0].axhline(0.0, color=INK, lw=0.6, ls=":")
     axes[0, 0].set(xlabel="time before the end, s", ylabel="height from standing, m")
-    _legend(axes[0, 0], above=True)
+    legend(axes[0, 0], above=True)
     return figure
 
 
@@ -251,13 +227,6 @@ def phase_portraits(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
         _few_ticks(ax)
     axes[0, 0].set_ylabel("rad/s")
     return figure
-
-
-def _legend(ax: Axes, above: bool = False) -> None:
-    place: dict[str, Any] = {"loc": "best"}
-    if above:
-        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.97), "ncols": 4, "borderaxespad": 0.1}
-    ax.legend(**place, frameon=False, fontsize=8, labelcolor=INK, handlelength=1.2)
 
 
 def _shared(first: str, second: str) -> str:

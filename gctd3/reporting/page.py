@@ -28,7 +28,8 @@ ul.verdict { padding: 0.8rem 1rem 0.8rem 2rem; background: var(--card); border: 
 .grid { display: grid; gap: 1rem; align-items: start;
   grid-template-columns: repeat(auto-fit, minmax(min(100%, 21rem), 1fr)); }
 figure { margin: 0; padding: 0.8rem; background: var(--card); border: 1px solid var(--line); border-radius: 8px; }
-figure svg { display: block; width: 100%; height: auto; color: var(--ink); }
+figure svg, figure img { display: block; width: 100%; height: auto; color: var(--ink); }
+figure img { border-radius: 4px; }
 .scroll { overflow-x: auto; border: 1px solid var(--line); border-radius: 8px; }
 table { border-collapse: collapse; width: 100%; font-size: 0.875rem; font-variant-numeric: tabular-nums; }
 small { color: var(--soft); }
@@ -48,7 +49,7 @@ def page(title: str, about: str, sentences: Sequence[str], sections: Sequence[tu
         title: Of the page.
         about: A line below it.
         sentences: The verdict.
-        sections: Heading of each, and the pictures and tables in it.
+        sections: Heading of each, and the pictures, tables and notes in it.
     """
     links = "".join(f'<a href="#{_anchor(name)}">{escape(name)}</a>' for name, things in sections if things)
     verdict = "".join(map(_sentence, sentences))
@@ -65,14 +66,15 @@ def page(title: str, about: str, sentences: Sequence[str], sections: Sequence[tu
 def _section(name: str, things: Sequence[object]) -> str:
     pictures = [thing for thing in things if isinstance(thing, Picture)]
     tables = [thing for thing in things if isinstance(thing, Table)]
+    notes = "".join(f'<p class="note">{escape(thing)}</p>\n' for thing in things if isinstance(thing, str))
     drawn = "".join(map(_figure, pictures))
     grid = f'<div class="grid">{drawn}</div>' if drawn else ""
-    return f'<h2 id="{_anchor(name)}">{escape(name)}</h2>\n{"".join(map(_table, tables))}{grid}\n'
+    return f'<h2 id="{_anchor(name)}">{escape(name)}</h2>\n{"".join(map(_table, tables))}{notes}{grid}\n'
 
 
 def _figure(picture: Picture) -> str:
     caption = f"<figcaption>{escape(picture.caption)}</figcaption>" if picture.caption else ""
-    return f"<figure><h3>{escape(picture.title)}</h3>{picture.svg}{caption}</figure>\n"
+    return f"<figure><h3>{escape(picture.title)}</h3>{picture.body}{caption}</figure>\n"
 
 
 def _table(table: Table) -> str:

@@ -1,4 +1,4 @@
-"""Runs below a directory: what they are, whether they may be compared, and in which groups of seeds they fall."""
+"""Runs below a directory: what they are, how they ended, and whether they may be compared."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import csv
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,13 @@ from omegaconf import OmegaConf
 from tqdm import tqdm
 
 from gctd3.errors import GCTD3Error, RunError
-from gctd3.evaluate import EVALUATION, TRACE, EvaluateSettings, evaluate_run
+from gctd3.evaluate import EVALUATION, ROBUSTNESS, TRACE, EvaluateSettings, evaluate_run
+from gctd3.evaluation import Judging
+from gctd3.files import read_manifest
 from gctd3.run_config import CONFIG, OVERRIDES, flat, load_config, load_settings
 from gctd3.run_log import PROGRESS
+from gctd3.train_settings import StopWhen
+from gctd3.trainer import POST_MORTEM
 
 # What has to be the same for numbers to mean the same, and what it is called.
 TOGETHER = {
@@ -26,17 +30,6 @@ TOGETHER = {
     "evaluation reward": ("evaluation.reward",),
     "endings": ("env.endings",),
 }
-# What makes no difference to what is learnt.
-UNIMPORTANT = (
-    "seed",
-    "logger",
-    "threads",
-    "env.threads",
-    "device",
-    "keep_checkpoints",
-    "checkpoint_every",
-    "resume",
-)
 
 
 @dataclass(frozen=True)
@@ -51,8 +44,9 @@ class Run:
         rows: Its evaluations in training, as in ``progress.csv``; what is undefined is left out.
         evaluation: Its ``evaluation.json``.
         trace: Columns of its ``trace.csv``.
+        robustness: Its ``robustness.json``.
         failure: Why it has no evaluation.
-        group: What it is compared as, all seeds together.
+        trouble: What kept its training from its end.
         overrides: The command line that it was started with, by key.
     """
 
@@ -63,8 +57,9 @@ class Run:
     rows: Sequence[Mapping[str, float]] = ()
     evaluation: Mapping[str, Any] | None = None
     trace: Mapping[str, np.ndarray] | None = None
+    robustness: Mapping[str, Any] | None = None
     failure: str | None = None
-    group: str = ""
+    trouble: str | None = None
     overrides: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -101,7 +96,7 @@ def find_runs(root: Path) -> list[Run]:
     directories = sorted(file.parent.parent for file in root.rglob(str(CONFIG)))
     if not directories:
         raise RunError(f"No runs below {root}: none of its directories has a {CONFIG}, as gctd3.train leaves behind.")
-    return grouped([read_run(directory, root) for directory in directories])
+    return [read_run(directory, root) for directory in directories]
 
 
 def read_run(directory: Path, root: Path) -> Run:
@@ -111,17 +106,50 @@ def read_run(directory: Path, root: Path) -> Run:
         items = [str(item) for item in OmegaConf.load(directory / OVERRIDES)]
         overrides = dict(item.split("=", 1) for item in items if "=" in item)
     name = str(directory.relative_to(root)) if directory != root else directory.name
-    run = Run(
-        directory, name, flat(load_config(directory)), overrides.get("algo", "gctd3"), _progress(directory / PROGRESS)
-    )
-    return judged(replace(run, overrides=overrides))
+    config, rows = flat(load_config(directory)), _progress(directory / PROGRESS)
+    run = Run(directory, name, config, overrides.get("algo", "gctd3"), rows)
+    return judged(replace(run, overrides=overrides, trouble=_trouble(run)))
+
+
+def _trouble(run: Run) -> str | None:
+    """What a crash left behind, or that the training is not over; ``None`` of one that came to its end."""
+    if (run.directory / POST_MORTEM).is_dir():
+        try:
+            return f"crashed: {read_manifest(run.directory / POST_MORTEM)['error']}"
+        except (RunError, KeyError):
+            return f"crashed; what is in {POST_MORTEM} cannot be read"
+    config, rows = run.config, run.rows
+    if "total_frames" not in config:
+        return None
+    if not rows:
+        return "stopped before its first evaluation"
+    last, batch = rows[-1], config.get("env.num_envs", 1) * config.get("steps", 1)
+    episodes = config.get("total_episodes")
+    spent = last["frames"] + batch > config["total_frames"]
+    if spent or (episodes is not None and last.get("train_episodes", 0) >= episodes) or _reached(run):
+        return None
+    return f"stopped at {last['frames']:,.0f} of {config['total_frames']:,} frames"
+
+
+def _reached(run: Run) -> bool:
+    """Whether its last evaluations show what ``stop_when`` asks for."""
+    wanted = run.config.get("stop_when.evaluations")
+    bounds = {
+        side: {
+            key.rpartition(".")[2]: value for key, value in run.config.items() if key.startswith(f"stop_when.{side}.")
+        }
+        for side in ("at_least", "at_most")
+    }
+    shown = StopWhen(bounds["at_least"], bounds["at_most"])
+    late = run.rows[-wanted:] if wanted else []
+    return bool(late) and len(late) == wanted and all(map(shown.all_reached, late))
 
 
 def judged(run: Run) -> Run:
-    """The run with its evaluation and trace, if it has them.
+    """The run with its evaluation, trace and robustness, if it has them.
 
     Raises:
-        RunError: If its evaluation is damaged.
+        RunError: If one of these is damaged.
     """
     file, evaluation, trace = run.directory / EVALUATION, None, None
     if file.is_file():
@@ -134,7 +162,19 @@ def judged(run: Run) -> Run:
     if (run.directory / TRACE).is_file():
         rows = list(csv.DictReader((run.directory / TRACE).read_text(encoding="utf-8").splitlines()))
         trace = {key: np.array([float(row[key]) for row in rows]) for key in rows[0]} if rows else None
-    return replace(run, evaluation=evaluation, trace=trace)
+    return replace(run, evaluation=evaluation, trace=trace, robustness=_robustness(run.directory / ROBUSTNESS))
+
+
+def _robustness(file: Path) -> Mapping[str, Any] | None:
+    if not file.is_file():
+        return None
+    try:
+        found: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        if not {"conditions", "shoves", "perturbations"} <= set(found):
+            raise ValueError("it lacks conditions, shoves or perturbations")
+    except (ValueError, TypeError) as error:
+        raise RunError(f"{file} cannot be read: {error}; delete it, or examine the run again.") from error
+    return found
 
 
 def check_together(runs: Sequence[Run]) -> None:
@@ -156,6 +196,9 @@ def check_together(runs: Sequence[Run]) -> None:
     rewards = {json.dumps(r.evaluation["reward"], sort_keys=True) for r in runs if r.evaluation and _reward(r)}
     if len(rewards) > 1:
         problems.append(f"  the reward under which {EVALUATION} judges; evaluate them again under one")
+    tried = {json.dumps(run.robustness["perturbations"], sort_keys=True) for run in runs if run.robustness}
+    if len(tried) > 1:
+        problems.append(f"  what {ROBUSTNESS} tried; examine them again with the same perturbations")
     if problems:
         raise RunError("These runs do not belong in one report; they differ in\n" + "\n".join(problems))
 
@@ -171,62 +214,23 @@ def _spread(sets: Iterable[list[Run]], key: str) -> str:
     return "; ".join(f"{value} in {', '.join(names[:3])}{', ...' * (len(names) > 3)}" for value, names in found.items())
 
 
-def evaluated(runs: Sequence[Run], episodes: int, seed: int, threads: int | None) -> list[Run]:
+def evaluated(runs: Sequence[Run], judging: Judging) -> list[Run]:
     """The runs, those that had no evaluation now with one, or with the reason why there can be none."""
     missing = [run for run in runs if run.evaluation is None]
     done = {}
     for run in tqdm(missing, desc="evaluating", unit=" run", disable=not missing):
-        done[run.name] = _evaluate(run, episodes, seed, threads)
+        done[run.name] = _evaluate(run, judging)
     return [done.get(run.name, run) for run in runs]
 
 
-def _evaluate(run: Run, episodes: int, seed: int, threads: int | None) -> Run:
+def _evaluate(run: Run, judging: Judging) -> Run:
     try:
         reward = load_settings(run.directory).evaluation.reward
-        evaluate_run(EvaluateSettings(str(run.directory), reward, episodes, seed, threads))
+        shared = {item.name: getattr(judging, item.name) for item in fields(Judging)}
+        evaluate_run(EvaluateSettings(str(run.directory), reward, **shared))
     except GCTD3Error as error:
         return replace(run, failure=str(error))
     return judged(run)
-
-
-def grouped(runs: Sequence[Run]) -> list[Run]:
-    """The runs with their groups: those whose configurations differ in nothing that matters but the seed."""
-    settings: dict[str, list[Run]] = {}
-    for run in runs:
-        important = {key: value for key, value in run.config.items() if key not in UNIMPORTANT}
-        settings.setdefault(json.dumps(important, sort_keys=True, default=str), []).append(run)
-    labels: dict[str, list[list[Run]]] = {}
-    for members in settings.values():
-        first = members[0]
-        network = first.overrides.get("network")
-        labels.setdefault(f"{first.algorithm} {network}" if network else first.algorithm, []).append(members)
-    named: dict[str, str] = {}
-    for label, sets in labels.items():
-        said = [""] * len(sets)
-        if len(sets) > 1:
-            keys = [key for key in differences([members[0] for members in sets]) if key not in UNIMPORTANT]
-            said = [
-                " " + " ".join(f"{key.rpartition('.')[2]}={members[0].config.get(key)}" for key in keys[:3])
-                for members in sets
-            ]
-            if len(set(said)) < len(sets):
-                said = [f" #{i + 1}" for i in range(len(sets))]
-        for members, more in zip(sets, said, strict=True):
-            named |= {run.name: label + more for run in members}
-    return [replace(run, group=named[run.name]) for run in runs]
-
-
-def groups_of(runs: Sequence[Run]) -> dict[str, list[Run]]:
-    """Runs by group; the graph network's first, then by name."""
-    order = sorted({run.group for run in runs}, key=lambda group: (not group.startswith("gctd3"), group))
-    return {group: sorted((r for r in runs if r.group == group), key=lambda r: r.seed) for group in order}
-
-
-def differences(runs: Sequence[Run]) -> dict[str, list[Any]]:
-    """Keys in which configurations differ, the seed aside, with each run's value."""
-    keys = sorted({key for run in runs for key in run.config} - {"seed"})
-    found = {key: [run.config.get(key) for run in runs] for key in keys}
-    return {key: values for key, values in found.items() if any(value != values[0] for value in values)}
 
 
 def _progress(file: Path) -> list[dict[str, float]]:

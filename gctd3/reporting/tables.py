@@ -6,13 +6,16 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from gctd3.reporting.runs import Run, differences
+from gctd3.reporting.groups import differences
+from gctd3.reporting.runs import Run
 from gctd3.reporting.statistics import interval
 from gctd3.reporting.verdict import scores
 from gctd3.robot import Robot
+from gctd3.robustness import DIRECTIONS, weakest
 
 # Table 5: return and its standard deviation over 50 episodes, body position (m), velocity (m/s).
 PAPER = {
@@ -150,16 +153,48 @@ def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
     )
 
 
+def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
+    """Success under each condition, and the impulse survived at every phase of the stride.
+
+    Args:
+        groups: Results of :meth:`.Examination.results` by group.
+    """
+    conditions = dict.fromkeys(name for results in groups.values() for one in results for name in one["conditions"])
+    rows = []
+    for name in conditions:
+        found = [
+            [one["conditions"][name]["success_rate"] for one in results if name in one["conditions"]]
+            for results in groups.values()
+        ]
+        rows.append([f"success, {name}", "", *(_range(values, 2) for values in found)])
+    for direction in DIRECTIONS:
+        impulses = [[weakest(one, direction) for one in results] for results in groups.values()]
+        cells = [_range([value for value in values if np.isfinite(value)], 1) for values in impulses]
+        rows.append([f"shove {direction}, worst moment", "N s", *cells])
+    perturbations = next(iter(groups.values()))[0]["perturbations"]
+    return Table(
+        "robustness",
+        "Robustness",
+        "Mean over seeds (lowest to highest), each by itself, the policy as it was trained. Shoves: the largest "
+        "impulse that is survived whenever in the stride it comes. A shove is survived if the "
+        f"robot goes on for {perturbations['recover']:g} s, at all {perturbations['starts']} starts, and with every "
+        f"smaller impulse; {perturbations['impulses'][-1]:g} N s is the largest that was tried.",
+        ("", "unit", *groups),
+        rows,
+    )
+
+
 def runs_table(groups: Mapping[str, Sequence[Run]]) -> Table:
     """A row for each run: time, steps, and how it went."""
     rows = []
     for group, runs in groups.items():
         for run in runs:
             frames = f"{run.rows[-1]['frames']:,.0f}" if run.rows else "-"
-            state = run.failure or ("always finishes" if run.value("success_rate") >= 1.0 else "does not always finish")
+            state = "always finishes" if run.value("success_rate") >= 1.0 else "does not always finish"
+            state = f"failed: {run.failure}" if run.failure else state
             cells = [_number(run.minutes, 1), _number(run.minutes_to_finish, 1), frames]
             cells += [_number(run.value("return_mean"), 1), _number(run.value("success_rate"), 2)]
-            rows.append([group, str(run.seed), *cells, "failed: " + state if run.failure else state, run.name])
+            rows.append([group, str(run.seed), *cells, f"{run.trouble}; {state}" if run.trouble else state, run.name])
     head = ("", "seed", "minutes", "to finish", "frames", "return", "success", "outcome", "directory")
     note = "Minutes of wall-clock until the last evaluation, and until the first in which every episode finished."
     return Table("runs", "Runs", note, head, rows)

@@ -65,6 +65,11 @@ def verdict(groups: Mapping[str, Sequence[Run]]) -> list[str]:
         lost = len(runs) - len(judged)
         line = f"{group}: {walked} of {len(runs)} seeds reach the finish in every episode"
         found.append(line + (f"; {lost} failed and have no numbers." if lost else "."))
+    for group, runs in groups.items():
+        for run in runs:
+            if run.trouble:
+                used = "its best policy until then counts" if run.evaluation is not None else "it has no policy"
+                found.append(f"{group}, seed {run.seed} ({run.name}) {run.trouble.rstrip('.')}; {used}.")
     names = list(groups)
     for other in names[1:]:
         for key, what, unit, digits, more in COMPARED:

@@ -1,0 +1,264 @@
+"""What an exported policy needs to be run anywhere: which readings make its input, and what its output means.
+
+It is written beside the policy as JSON whose keys are the attributes below, units in their names. Read on robots, so
+this needs the standard library only.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+from xml.etree import ElementTree
+
+import gctd3
+from gctd3.errors import ContractError
+from gctd3.files import seal
+
+FORMAT = 1
+CHECKSUM = "sha256"  # key of the checksum over the rest of the JSON
+ROBOT, ROBOT_HASH = "gctd3.robot", "gctd3.robot_sha256"  # metadata of the ONNX file
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One of the numbers that a node senses.
+
+    Attributes:
+        reading: Name of the reading that it is; ``None`` if it is always 0.
+        meaning: Of the reading.
+        binary: Whether it is 0 or 1.
+    """
+
+    reading: str | None
+    meaning: str
+    binary: bool = False
+
+
+@dataclass(frozen=True)
+class Node:
+    """A node of the robot's graph.
+
+    Attributes:
+        name: Its name.
+        features: What it senses in one frame, in order.
+    """
+
+    name: str
+    features: tuple[Feature, ...]
+
+
+@dataclass(frozen=True)
+class Servo:
+    """One action: a desired joint angle, and the servo that follows it.
+
+    Attributes:
+        actuator: Its name.
+        joint: That it drives.
+        low_rad: Desired angle at an action of -1.
+        high_rad: Desired angle at an action of 1; in between it is linear.
+        start_rad: The joint's angle where episodes start.
+        most_change_rad: Largest change of the desired angle from one control step to the next.
+        kp_nm_per_rad: Its torque is ``kp (desired - angle) - kd velocity``.
+        kd_nm_s_per_rad: See above.
+        effort_nm: Largest torque; ``None`` for any.
+        time_constant_s: Of a first-order filter between desired angle and servo; 0 for none.
+    """
+
+    actuator: str
+    joint: str
+    low_rad: float
+    high_rad: float
+    start_rad: float
+    most_change_rad: float
+    kp_nm_per_rad: float
+    kd_nm_s_per_rad: float
+    effort_nm: float | None
+    time_constant_s: float
+
+
+@dataclass(frozen=True)
+class NetworkFile:
+    """The exported network.
+
+    Attributes:
+        sha256: Of the ONNX file; ``None`` for a contract inside the file of its network.
+        opset: Of ONNX; ``None`` if it is not an ONNX file.
+        input: Name of the input, float32 ``[batch, *input_shape]``.
+        input_shape: Nodes, and features of all frames.
+        output: Name of the output, float32 ``[batch, actions]`` in [-1, 1].
+        weights_sha256: Of the ``policy.safetensors`` that it was made from.
+    """
+
+    sha256: str | None
+    opset: int | None
+    input: str
+    input_shape: tuple[int, ...]
+    output: str
+    weights_sha256: str
+
+
+@dataclass(frozen=True)
+class RobotIdentity:
+    """Which robot.
+
+    Attributes:
+        name: Of its MJCF file, without the suffix.
+        sha256: Its :func:`robot_hash` when the policy was exported.
+        standing_height_m: Of the root body's origin above the ground when the robot stands, where ``height_m`` is 0.
+    """
+
+    name: str
+    sha256: str
+    standing_height_m: float
+
+
+@dataclass(frozen=True)
+class Contract:
+    """Everything that whoever runs the policy has to keep to.
+
+    Attributes:
+        format: Of this contract.
+        network: The exported network.
+        robot: The robot that it was trained for.
+        control_rate_hz: Control steps a second.
+        history_frames: Frames in the input.
+        history_order: Of a node's features in the input: all of a frame side by side, frame after frame.
+        history_warm_up: What stands for frames before the first.
+        normalisation: Of the readings; there is none, the network takes them as they are.
+        nodes: In the order of the input.
+        servos: In the order of the output.
+        frames_trained: Frames that the policy was trained on.
+        trained_with: Versions of the packages that it was trained with.
+        exported_with: Versions of the packages that it was exported with.
+    """
+
+    format: int
+    network: NetworkFile
+    robot: RobotIdentity
+    control_rate_hz: float
+    history_frames: int
+    history_order: Literal["oldest first"]
+    history_warm_up: Literal["repeat the first frame"]
+    normalisation: Literal["none"]
+    nodes: tuple[Node, ...]
+    servos: tuple[Servo, ...]
+    frames_trained: int
+    trained_with: dict[str, str]
+    exported_with: dict[str, str]
+
+    def __post_init__(self) -> None:
+        widths = {len(node.features) * self.history_frames for node in self.nodes}
+        shape = (len(self.nodes), *widths)
+        names = self.readings
+        ordered = all(s.low_rad <= s.start_rad <= s.high_rad and s.most_change_rad >= 0 for s in self.servos)
+        for right, said in (
+            (shape == self.network.input_shape, f"nodes and history_frames make {shape}, not network.input_shape"),
+            (len(set(names)) == len(names), "two features have one reading"),
+            (self.control_rate_hz > 0 and self.history_frames > 0, "control_rate_hz and history_frames are above 0"),
+            (bool(self.servos) and ordered, "servos have low_rad <= start_rad <= high_rad and most_change_rad >= 0"),
+        ):
+            if not right:
+                raise ContractError(f"The contract contradicts itself: {said}.")
+
+    @property
+    def readings(self) -> tuple[str, ...]:
+        """Names of all readings, in the order of the nodes."""
+        return tuple(f.reading for node in self.nodes for f in node.features if f.reading is not None)
+
+    def to_json(self) -> str:
+        """The contract with a checksum of itself."""
+        content = json.loads(json.dumps(dataclasses.asdict(self)))
+        return json.dumps({**content, CHECKSUM: seal(content)}, indent=2) + "\n"
+
+
+def read_contract(path: Path) -> Contract:
+    """The contract in a file.
+
+    Raises:
+        ContractError: If it is missing, damaged or of another format.
+    """
+    if not path.is_file():
+        raise ContractError(f"No contract at {path}: it is exported together with the policy and has to be beside it.")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ContractError(f"{path} cannot be read: {error}") from error
+    try:
+        return parse_contract(text)
+    except ContractError as error:
+        raise ContractError(f"{path}: {error}") from error
+
+
+def parse_contract(text: str) -> Contract:
+    """What :meth:`Contract.to_json` wrote.
+
+    Raises:
+        ContractError: If it is damaged or of another format.
+    """
+    try:
+        content = json.loads(text)
+        found = content.pop(CHECKSUM)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ContractError(f"no contract of a policy, or damaged: {error!r}.") from error
+    if content.get("format") != FORMAT:
+        raise ContractError(
+            f"it has format {content.get('format')!r}; gctd3 {gctd3.__version__} reads format {FORMAT}."
+        )
+    if seal(content) != found:
+        raise ContractError("it is damaged or was edited: its checksum does not fit.")
+    contract: Contract = _read(content, Contract, "the contract")
+    return contract
+
+
+def _read(value: Any, hint: Any, where: str) -> Any:  # noqa: ANN401 - JSON to whatever the hint says
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if dataclasses.is_dataclass(hint) and isinstance(value, Mapping):
+        hints = typing.get_type_hints(hint)
+        if wrong := sorted(set(hints) ^ set(value)):
+            raise ContractError(f"{where} has missing or unknown keys: {', '.join(wrong)}.")
+        return typing.cast(Any, hint)(**{key: _read(value[key], hints[key], f"{where}.{key}") for key in hints})
+    if origin in (typing.Union, types.UnionType):
+        return None if value is None else _read(value, inner[0], where)
+    if origin is Literal and value in inner:
+        return value
+    if origin is tuple and isinstance(value, list):
+        return tuple(_read(item, inner[0], f"{where}[{i}]") for i, item in enumerate(value))
+    if origin is dict and isinstance(value, dict):
+        return {str(key): _read(item, inner[1], f"{where}.{key}") for key, item in value.items()}
+    if hint is float and type(value) in (int, float) and math.isfinite(value):
+        return float(value)
+    if hint in (int, str, bool) and type(value) is hint:
+        return value
+    expected = hint.__name__ if isinstance(hint, type) else str(hint).removeprefix("typing.")
+    raise ContractError(f"{where} must be {expected}, got {value!r}.")
+
+
+def robot_hash(mjcf: str | Path) -> str:
+    """SHA-256 of an MJCF file and of those that it includes, whatever the ends of their lines.
+
+    Raises:
+        ContractError: If one cannot be read.
+    """
+    digest = hashlib.sha256()
+    waiting = [Path(mjcf)]
+    seen: set[Path] = set()
+    while waiting:
+        file = waiting.pop(0)
+        try:
+            content = file.read_bytes().replace(b"\r\n", b"\n")
+            includes = [include.attrib["file"] for include in ElementTree.fromstring(content).iter("include")]
+        except (OSError, ElementTree.ParseError, KeyError) as error:
+            raise ContractError(f"{file} cannot be read as a robot's MJCF: {error}") from error
+        digest.update(content)
+        seen.add(file)
+        # Relative to the main file, as MuJoCo reads them.
+        waiting += [path for name in includes if (path := Path(mjcf).parent / name) not in seen]
+    return digest.hexdigest()

@@ -1,0 +1,54 @@
+"""How figures look: each small enough for a phone, told apart with every kind of colour vision, on white and black."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+# After Okabe & Ito 2008, evened out in lightness.
+COLOURS = ("#2a7fc1", "#d9822b", "#1a9a72", "#c45a9b", "#8c7ae6", "#b0a01e", "#d1495b", "#4db6c6")
+RIGHT, LEFT = COLOURS[0], COLOURS[1]
+INK = "#010203"  # of text and axes; stands for the page's own colour there
+WIDTH, HEIGHT = 4.6, 2.9  # inches
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "font.size": 9,
+    "font.family": "sans-serif",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.18,
+    "grid.color": INK,
+    "text.color": INK,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 9,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "figure.constrained_layout.use": True,
+}
+
+
+def colours(groups: Sequence[str]) -> dict[str, str]:
+    """A colour for each group."""
+    return {group: COLOURS[i % len(COLOURS)] for i, group in enumerate(groups)}
+
+
+def new(rows: int = 1, columns: int = 1, height: float = HEIGHT, sharex: bool = False) -> tuple[Figure, np.ndarray]:
+    """A figure of the usual width with axes ``[rows, columns]``."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        return figure, figure.subplots(rows, columns, squeeze=False, sharex=sharex)
+
+
+def legend(ax: Axes, above: bool = False) -> None:
+    """The legend, inside the axes where there is room, or above them."""
+    place: dict[str, Any] = {"loc": "best"}
+    if above:
+        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.97), "ncols": 4, "borderaxespad": 0.1}
+    ax.legend(**place, frameon=False, fontsize=8, labelcolor=INK, handlelength=1.2)
