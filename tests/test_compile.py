@@ -11,10 +11,9 @@ from test_algorithms import KINDS, build, going_on
 from gctd3.algorithms.base import EAGER
 
 UPDATES = EAGER + 4
-# The compiler's own, about itself.
+# What PyTorch, TensorDict and TorchRL say of their own code while it is traced.
 pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*should not be instantiated:DeprecationWarning"),
-    pytest.mark.filterwarnings("ignore:torch._dynamo.config:FutureWarning"),
+    pytest.mark.filterwarnings(f"ignore::{kind}") for kind in ("DeprecationWarning", "FutureWarning", "UserWarning")
 ]
 
 
