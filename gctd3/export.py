@@ -30,7 +30,7 @@ from gctd3.envs.factory import EnvSettings, build_env
 from gctd3.envs.library import LibrarySettings
 from gctd3.envs.reward import Reward
 from gctd3.errors import ConfigError, NumericalError, RunError, check_between, check_seed
-from gctd3.evaluate import evaluate
+from gctd3.evaluation import evaluate
 from gctd3.files import write_bytes, write_text
 from gctd3.nn.actor import ACTION, NODES
 from gctd3.robot import Robot
