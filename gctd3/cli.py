@@ -9,7 +9,6 @@ import re
 import sys
 from collections.abc import Callable
 from importlib import resources
-from importlib.util import find_spec
 from pathlib import Path
 
 import hydra
@@ -21,9 +20,8 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from gctd3.errors import GCTD3Error, suggest
+from gctd3.usage import CONF, asks_for_help, check_installed, command_of, fail, help_of
 
-CONF = "gctd3.conf"
-USAGE_ERROR = 2
 INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
 _USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError)
 
@@ -35,11 +33,10 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
         config: Name of the root YAML in ``conf/``.
         task: Gets the resolved configuration.
     """
-    if find_spec(CONF) is None:
-        _fail(
-            "gctd3 was imported from a source tree in which it is not installed: "
-            "run `pip install -e .` there, or leave it."
-        )
+    check_installed()
+    if asks_for_help():
+        print(help_of(command_of(config)))
+        return
     # What a run is about, in its path.
     OmegaConf.register_new_resolver("subject", _subject, replace=True)
     sys.argv[1:] = map(_robot_file, sys.argv[1:])
@@ -54,12 +51,12 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
         # Whoever read the output (`| head`) has had enough; closing stderr keeps Python from complaining at exit.
         sys.stderr.close()
     except _USER_ERRORS as error:
-        _fail(explain(error, config))
+        fail(explain(error, config))
     except (AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         # Hydra's own, of a group given a value that is no option; what the task raises is not for here.
         if GlobalHydra.instance().is_initialized():
             raise
-        _fail(f"The arguments cannot be combined: {error or type(error).__name__}")
+        fail(f"The arguments cannot be combined: {error or type(error).__name__}")
 
 
 def _robot_file(argument: str) -> str:
@@ -86,12 +83,12 @@ def _guarded(task: Callable[[DictConfig], None], config: str) -> Callable[[DictC
             task(settings)
         except _USER_ERRORS as error:
             _remove_empty(Path(HydraConfig.get().runtime.output_dir))
-            _fail(explain(error, config))
+            fail(explain(error, config))
         except RuntimeError as error:
             # PyTorch's way to say that memory is short.
             if "alloc" not in str(error) and "out of memory" not in str(error):
                 raise
-            _fail(explain(MemoryError(str(error).splitlines()[0]), config))
+            fail(explain(MemoryError(str(error).splitlines()[0]), config))
 
     return guarded
 
@@ -161,8 +158,3 @@ def _known_keys(config: str, arguments: list[str]) -> list[str]:
         return found
 
     return walk(composed, "")
-
-
-def _fail(message: str) -> None:
-    print(f"error: {message}", file=sys.stderr)
-    raise SystemExit(USAGE_ERROR)

@@ -39,8 +39,11 @@ def _train(config: DictConfig, stop: StopRequest) -> None:
     settings = build(config)
     settings.check_here()
     # Imported late, so that --help and a wrong setting are answered at once.
+    from gctd3.film import check_film
     from gctd3.trainer import Trainer, refuse_a_run
 
+    if settings.video:
+        check_film()
     with only_one(run):
         if not resumed:
             refuse_a_run(run)

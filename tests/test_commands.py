@@ -184,7 +184,7 @@ def test_a_run_that_cannot_be_used_is_answered(capsys, broken, case):
     assert not (broken / "evaluation.json").exists()
 
 
-@pytest.mark.parametrize("name", ["evaluate", "render"])
+@pytest.mark.parametrize("name", ["evaluate", "render", "view"])
 def test_a_run_that_is_not_there_is_answered(capsys, tmp_path, name):
     assert answer(capsys, name) == "error: run=... is required; --help shows how.\n"
     assert str(tmp_path / "nowhere") in answer(capsys, name, f"run={tmp_path / 'nowhere'}")
@@ -200,9 +200,13 @@ def test_a_run_that_is_not_there_is_answered(capsys, tmp_path, name):
         ("evaluate", "seed=-1", "seed must be at least 0 and below 2^32, got -1."),
         ("evaluate", "episode=3", "Did you mean 'episodes'?"),
         ("render", "width=0", "width must be at least 1, got 0."),
-        ("render", "out=walk.bmp", "out must end in .png or .gif, got 'walk.bmp'."),
+        ("render", "height=100000", "height must be at most 16,384, got 100000."),
+        ("render", "out=walk.bmp", "out must end in .png, .gif or .mp4, got 'walk.bmp'."),
+        ("render", "seconds=0", "seconds must be above 0, or null, got 0"),
         ("render", "out=nowhere/walk.png", "nowhere"),
         ("render", "camera=behind", "side, three_quarter"),
+        ("view", "port=-1", "port must be at least 0, got -1."),
+        ("view", "port=65536", "port must be at most 65,535, got 65536."),
     ],
 )
 def test_a_wrong_setting_of_the_other_commands_is_answered(capsys, run, name, argument, said):

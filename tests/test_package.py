@@ -32,16 +32,18 @@ STAGES = [
     "gait_metrics gait_effort",
     "motion episode gait_summary",
     "settings",
-    "cli",
+    "usage cli",
     "train_settings run_config checkpoint",
+    "gl live film",
     "evaluate",
     "picture graph_picture",
-    "render",
+    "render panel view",
     "interrupt run_log",
     "trainer",
     "train",
     "reporting.runs reporting.statistics reporting.verdict reporting.figures reporting.tables reporting.page reporting",
     "report",
+    "__main__",
 ]
 ORDER = [name for stage in STAGES for name in stage.split()]
 HEAVY = ("hydra", "dm_control", "torch", "torchrl", "mujoco")

@@ -103,7 +103,7 @@ def test_any_algorithm_takes_any_experiment(experiment, algorithm):
     build(composed(f"experiment={experiment}", f"algo={algorithm}"))
 
 
-@pytest.mark.parametrize("root", ["evaluate", "render"])
+@pytest.mark.parametrize("root", ["evaluate", "render", "view"])
 def test_the_other_commands_build(root):
     assert build(composed("run=somewhere", root=root)).run == "somewhere"
 
@@ -161,7 +161,7 @@ def test_every_key_has_a_comment():
     assert len(seen) > 60 and not missing
 
 
-@pytest.mark.parametrize("root", ["config", "evaluate", "render"])
+@pytest.mark.parametrize("root", ["config", "evaluate", "render", "view"])
 def test_every_key_is_a_parameter_and_every_parameter_a_key(root):
     def check(node, path=""):
         if "_target_" in node:
