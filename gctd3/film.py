@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import io
 import os
@@ -18,8 +19,7 @@ from gctd3.envs.factory import EnvSettings
 from gctd3.errors import ConfigError, RenderError
 from gctd3.files import new_file
 from gctd3.gl import Canvas, find_backend
-from gctd3.live import LiveWalk
-from gctd3.mjcf import colliding_geoms
+from gctd3.live import LiveWalk, foot_geoms
 from gctd3.robot import Robot
 from gctd3.shapes import lowest_point
 
@@ -119,8 +119,7 @@ def start_point(robot: Robot) -> np.ndarray:
     data = mujoco.MjData(robot.model)
     data.qpos[:] = robot.standing_qpos
     mujoco.mj_kinematics(robot.model, data)
-    feet = [geom for foot in robot.feet for geom in colliding_geoms(robot.model, robot.model.body(foot).id)]
-    root = data.body(robot.root).xpos.copy()
+    feet, root = foot_geoms(robot), data.xpos[robot.base.root]
     return np.array([root[0], root[1], lowest_point(robot.model, data, feet) if feet else 0.0])
 
 
@@ -150,7 +149,7 @@ def _camera(robot: Robot, data: mujoco.MjData, name: str) -> mujoco.MjvCamera:
     camera.type, camera.distance = mujoco.mjtCamera.mjCAMERA_FREE, 2.0 * robot.model.stat.extent
     azimuth, camera.elevation = VIEWS[name]
     camera.azimuth = azimuth + np.degrees(np.arctan2(forward[1], forward[0]))
-    camera.lookat[:] = data.subtree_com[robot.model.body(robot.root).id]
+    camera.lookat[:] = data.subtree_com[robot.base.root]
     return camera
 
 
@@ -221,11 +220,11 @@ def _write_mp4(path: Path, frames: Iterator[Image.Image], fps: float) -> None:
     writer = imageio_ffmpeg.write_frames(
         str(path), first.size, fps=fps, codec="libx264", macro_block_size=1, output_params=even
     )
-    writer.send(None)
     try:
-        writer.send(first.tobytes())
-        for frame in frames:
-            writer.send(frame.tobytes())
-        writer.close()
+        with contextlib.closing(writer):
+            writer.send(None)
+            writer.send(first.tobytes())
+            for frame in frames:
+                writer.send(frame.tobytes())
     except OSError as error:
         raise RenderError(f"ffmpeg could not write {path.name}: {error}") from error

@@ -17,7 +17,7 @@ from gctd3.envs.library import LibrarySettings
 from gctd3.envs.reward import Endings, Reward
 from gctd3.envs.simulation import Simulation
 from gctd3.errors import RunError
-from gctd3.mjcf import colliding_geoms
+from gctd3.mjcf import bodies_below, body_name, colliding_geoms
 from gctd3.robot import Robot
 from gctd3.run_config import load_settings
 
@@ -35,6 +35,12 @@ def load_walk(run: str | Path) -> tuple[TensorDictModuleBase, Robot, EnvSettings
     if isinstance(trained.env, LibrarySettings):
         raise RunError(f"{run} was trained on {trained.env.task}: only the walking task can be drawn.")
     return load_policy(run), trained.load_robot(), trained.env
+
+
+def foot_geoms(robot: Robot) -> list[int]:
+    """Indices of the feet's geoms that collide."""
+    bodies = {body_name(robot.model, body): body for body in bodies_below(robot.model, robot.base.root)}
+    return [geom for foot in robot.feet for geom in colliding_geoms(robot.model, bodies[foot])]
 
 
 @dataclass(frozen=True)
@@ -102,10 +108,9 @@ class LiveWalk:
         with torch.random.fork_rng(devices=[]):
             self._env = build_env(robot, one, reward, seed)
         self.data = mujoco.MjData(robot.model)
-        self._root = robot.model.body(robot.root).id
+        self._root = robot.base.root
         ground = [g for g in range(robot.model.ngeom) if robot.model.geom_bodyid[g] == 0]
-        feet = [g for foot in robot.feet for g in colliding_geoms(robot.model, robot.model.body(foot).id)]
-        self._rubbing, self._mass = ground + feet, float(robot.model.body_mass[self._root])
+        self._rubbing, self._mass = ground + foot_geoms(robot), float(robot.model.body_mass[self._root])
         self.reset(seed)
 
     @property

@@ -221,17 +221,15 @@ class Panel:
     def _words(self, now: Moment) -> str:
         state = "paused" if self.paused else "reached the finish" if now.success else "ended" if now.done else "walks"
         rows = [
-            ("", state),
-            ("time", f"{now.time:.2f} s"),
-            ("distance", f"{now.position:.2f} m"),
-            ("speed", f"{now.velocity:.2f} m/s"),
-            ("height", f"{now.height:+.3f} m"),
-            ("reward", f"{now.reward:.2f}"),
-            ("return", f"{now.total:.0f}"),
+            [("state", state), ("time", f"{now.time:.2f} s")],
+            [("distance", f"{now.position:.2f} m"), ("speed", f"{now.velocity:.2f} m/s")],
+            [("height", f"{now.height:+.3f} m"), ("reward", f"{now.reward:.2f}")],
+            [("return", f"{now.total:.0f}")],
         ]
-        cells = "".join(f"<tr><td>{key}</td><td class='{key or 'state'}'><b>{said}</b></td></tr>" for key, said in rows)
-        wrong = f"<p style='color:#c0392b'>{html.escape(self._said)}</p>" if self._said else ""
-        return f"<table id='status' style='margin:0 1em; border-spacing:0.8em 0'>{cells}</table>{wrong}"
+        cells = ["".join(f"<td>{key}</td><td class='{key}'><b>{said}</b></td>" for key, said in row) for row in rows]
+        style = "margin: 0 0.6em; border-spacing: 0.7em 0; font-size: 0.85em; font-variant-numeric: tabular-nums"
+        table = f"<table id='status' style='{style}'>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
+        return table + (f"<p style='color:#c0392b'>{html.escape(self._said)}</p>" if self._said else "")
 
     def _plot(self) -> None:
         table = np.array(self._trace, dtype=np.float64)
