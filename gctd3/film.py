@@ -19,7 +19,7 @@ from gctd3.envs.factory import EnvSettings
 from gctd3.errors import ConfigError, RenderError
 from gctd3.files import new_file
 from gctd3.gl import Canvas, find_backend
-from gctd3.live import LiveWalk, foot_geoms
+from gctd3.live import LiveWalk, Moment, foot_geoms
 from gctd3.robot import Robot
 from gctd3.shapes import lowest_point
 
@@ -58,7 +58,8 @@ def record(
     policy: TensorDictModuleBase, robot: Robot, settings: EnvSettings, seed: int, most_steps: int | None = None
 ) -> Walk:
     """One episode of a policy under the paper's reward, or its first ``most_steps`` control steps."""
-    live, rows = LiveWalk(policy, robot, settings, seed), []
+    live = LiveWalk(policy, robot, settings, seed)
+    rows: list[Moment] = []
     while not live.now.done and (most_steps is None or len(rows) < most_steps):
         rows.append(live.step())
     return Walk(

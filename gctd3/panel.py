@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import html
 import queue
 import time
@@ -152,15 +153,15 @@ class Panel:
         ways = {"Push forward": (1.0, 0.0), "Push back": (-1.0, 0.0)}
         if "side" in live.robot.base.coordinates:
             ways |= {"Push left": (0.0, 1.0), "Push right": (0.0, -1.0)}
-        for name, (forward, side) in ways.items():
-            self._on(
-                gui.add_button(name).on_click,
-                lambda a=forward, b=side: live.push(a * impulse.value, b * impulse.value),
-            )
+        for name, way in ways.items():
+            self._on(gui.add_button(name).on_click, functools.partial(self._push, impulse, *way))
         friction = self._slider("Friction", FRICTION, 0.05, live.friction, "Of feet and ground")
         payload = self._slider("Payload, kg", (0.0, float(np.ceil(mass))), 0.5, 0.0, "On top of the body's own mass")
         self._on(friction.on_update, lambda: setattr(live, "friction", friction.value))
         self._on(payload.on_update, lambda: setattr(live, "payload", payload.value))
+
+    def _push(self, impulse: viser.GuiInputHandle[float], forward: float, side: float) -> None:
+        self.live.push(forward * impulse.value, side * impulse.value)
 
     def _slider(
         self, name: str, between: tuple[float, float], step: float, value: float, hint: str
