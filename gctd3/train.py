@@ -73,7 +73,8 @@ def _summary(best: dict[str, float] | None, run: Path) -> str:
         f"\nBest evaluation, after {best['frames']:,.0f} steps and {best['wall_s'] / 60:.1f} minutes: "
         f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}, success {best['success_rate']:.0%}, "
         f"{best['distance_mean']:.1f} m at {best['velocity_mean']:.2f} m/s.\n"
-        f"Judge it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
+        f"Judge it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50\n"
+        f"Watch it walk:  python -m gctd3.view run={run}"
     )
 
 
