@@ -16,7 +16,8 @@ from gctd3.usage import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-SHELL = "".join(re.findall(r"^```\n(.*?)^```", README, flags=re.M | re.S))
+BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", README, flags=re.M | re.S)
+SHELL = "".join(text for language, text in BLOCKS if not language)
 PARTS = sorted({part.strip() for line in SHELL.splitlines() for part in line.split("&&")})
 
 
