@@ -9,7 +9,6 @@ import re
 import sys
 from collections.abc import Callable
 from importlib import resources
-from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
 
@@ -23,9 +22,8 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
+from gctd3.usage import CONF, asks_for_help, check_installed, command_of, fail, help_of
 
-CONF = "gctd3.conf"
-USAGE_ERROR = 2
 INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
 _JOBLIB = ("hydra/launcher", "joblib")  # an option only where the plugin is installed
 _WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException)
@@ -39,11 +37,10 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
         config: Name of the root YAML in ``conf/``.
         task: Gets the resolved configuration; what it returns is for a sweeper of Hydra's.
     """
-    if find_spec(CONF) is None:
-        fail(
-            "gctd3 was imported from a source tree in which it is not installed: "
-            "run `pip install -e .` there, or leave it."
-        )
+    check_installed()
+    if asks_for_help():
+        print(help_of(command_of(config)))
+        return
     sys.argv[1:] = map(_robot_file, sys.argv[1:])
     # Hydra would print and exit; this way its errors come here, to be said in the library's words.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
@@ -182,9 +179,3 @@ def _known_keys(config: str, arguments: list[str]) -> list[str]:
         return found
 
     return walk(composed, "")
-
-
-def fail(message: str) -> NoReturn:
-    """Say what is wrong and end the process, as of wrong usage."""
-    print(f"error: {message}", file=sys.stderr)
-    raise SystemExit(USAGE_ERROR)

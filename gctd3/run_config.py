@@ -24,6 +24,7 @@ CONFIG, OVERRIDES = Path(".hydra") / "config.yaml", Path(".hydra") / "overrides.
 # What may differ when a run is continued: none of it changes what the run has learnt so far.
 HARMLESS = (
     "logger",
+    "video",
     "total_frames",
     "total_episodes",
     "threads",

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
 from torchrl.record.loggers import Logger, get_logger
 
 from gctd3.checkpoint import FOLDER
 from gctd3.errors import ConfigError, RunError
 from gctd3.files import write_text
+from gctd3.film import gif, write_animation
 from gctd3.train_settings import COLUMNS
 
-PROGRESS = "progress.csv"
+PROGRESS, VIDEOS, CLIP_NAME = "progress.csv", "videos", "evaluation/walk"
 
 
 class RunLog:
@@ -46,6 +48,32 @@ class RunLog:
         if self._logger is not None:
             for name, value in values.items():
                 self._logger.log_scalar(name, value, step=int(frames))
+
+    def clip(self, frames: Sequence[Image.Image], fps: float, step: int) -> None:
+        """Keep a film of the policy evaluated at ``step``, and give it to the logger if that takes films."""
+        path = self.directory / VIDEOS / f"{step:012d}.mp4"
+        path.parent.mkdir(exist_ok=True)
+        write_animation(path, iter(frames), fps)
+        if self._logger is None:
+            return
+        # TorchRL's own ways need moviepy or torchcodec to make a video of tensors; this one is made.
+        if self.kind == "tensorboard":
+            from tensorboard.compat.proto.summary_pb2 import Summary
+
+            image = Summary.Image(
+                width=frames[0].width, height=frames[0].height, colorspace=3, encoded_image_string=gif(frames, fps)
+            )
+            summary = Summary(value=[Summary.Value(tag=CLIP_NAME, image=image)])
+            self._logger.experiment.file_writer.add_summary(summary, step)
+        elif self.kind == "wandb":
+            import wandb
+
+            self._logger.experiment.log({CLIP_NAME: wandb.Video(str(path), format="mp4")})
+        elif self.kind == "mlflow":
+            import mlflow
+
+            mlflow.set_experiment(experiment_id=self._logger.id)
+            mlflow.log_artifact(str(path), VIDEOS)
 
     def restore(self, rows: list[dict[str, Any]], frames: int) -> None:
         """Go back to the moment of ``rows``, after ``frames`` frames: what was written later is taken away."""

@@ -55,9 +55,12 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     settings = build(config, trusted=not resumed)
     settings.check_here()
     # Imported late, so that --help and a wrong setting are answered at once.
+    from gctd3.film import check_film
     from gctd3.run_log import refuse_a_run
     from gctd3.trainer import Trainer
 
+    if settings.video:
+        check_film()
     with only_one(run), _output(run, stop):
         if not resumed:
             refuse_a_run(run)
@@ -103,7 +106,10 @@ def _value(best: dict[str, float] | None) -> float:
 
 
 def _summary(best: dict[str, float] | None, run: Path) -> str:
-    judge = f"\nJudge it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
+    judge = (
+        f"\nJudge it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
+        f"\nWatch it walk:  python -m gctd3.view run={run}"
+    )
     return f"\n{_said(best)}{judge if best is not None else ''}"
 
 

@@ -162,6 +162,7 @@ class TrainSettings:
         device: That networks and replay live on, ``cpu``, ``cuda`` or ``cuda:0`` and so on; robots are on the CPU.
         threads: Of PyTorch; its own default if ``None``.
         logger: Where curves go, besides ``progress.csv``.
+        video: Whether policies are filmed when they are evaluated.
         keep_checkpoints: Newest checkpoints to keep, besides the best policy.
         checkpoint_every: Seconds between them, at least; more if writing them would take over 3 % of the time.
         resume: Directory of the run that this continues.
@@ -184,6 +185,7 @@ class TrainSettings:
     device: str = "cpu"
     threads: int | None = None
     logger: Literal["csv", "tensorboard", "wandb", "mlflow", "none"] = "tensorboard"
+    video: bool = False
     keep_checkpoints: int = 2
     checkpoint_every: float = 30.0
     resume: str | None = None
@@ -200,6 +202,8 @@ class TrainSettings:
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, or null, got {self.threads}.")
         check_between(self, 1, MOST_THREADS, "threads")
+        if self.video and isinstance(self.env, LibrarySettings):
+            raise ConfigError("video must be false for a library's task: only the walking task can be drawn.")
         self._check_frames()
         if isinstance(self.env, LibrarySettings):
             self._check_library_task(self.env)

@@ -26,6 +26,7 @@ from gctd3.evaluation import evaluate
 from gctd3.exploration import Explorer
 from gctd3.faults import check_collected, check_losses
 from gctd3.files import new_directory, save_tree, write_manifest
+from gctd3.film import FPS, clip
 from gctd3.interrupt import StopRequest
 from gctd3.random_state import load_random_state, random_state, seed_all
 from gctd3.replay import Mirror, Replay
@@ -213,6 +214,8 @@ class Trainer:
             self.checkpoints.save_best(now.frames, policy, metrics)
             self.best = metrics
         self.log.add_row(metrics)
+        if settings.video and isinstance(settings.env, EnvSettings):
+            self.log.clip(clip(policy, self.robot, settings.env, settings.evaluation.seed), FPS, now.frames)
         return metrics
 
     def _wall(self) -> float:

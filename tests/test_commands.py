@@ -184,7 +184,7 @@ def test_a_run_that_cannot_be_used_is_answered(capsys, broken, case):
     assert not (broken / "evaluation.json").exists()
 
 
-@pytest.mark.parametrize("name", ["evaluate", "export", "render"])
+@pytest.mark.parametrize("name", ["evaluate", "export", "render", "view"])
 def test_a_run_that_is_not_there_is_answered(capsys, tmp_path, name):
     assert str(tmp_path / "nowhere") in answer(capsys, name, f"run={tmp_path / 'nowhere'}")
     assert "not a run" in answer(capsys, name, f"run={tmp_path}")
@@ -203,9 +203,13 @@ def test_a_run_that_is_not_there_is_answered(capsys, tmp_path, name):
         ("export", "out=policy.pth", "out must end in .onnx or .pt2, got 'policy.pth'."),
         ("export", "out=nowhere/policy.onnx", "nowhere"),
         ("render", "width=0", "width must be at least 1, got 0."),
-        ("render", "out=walk.bmp", "out must end in .png or .gif, got 'walk.bmp'."),
+        ("render", "height=100000", "height must be at most 16,384, got 100000."),
+        ("render", "out=walk.bmp", "out must end in .png, .gif or .mp4, got 'walk.bmp'."),
+        ("render", "seconds=0", "seconds must be above 0, or null, got 0"),
         ("render", "out=nowhere/walk.png", "nowhere"),
         ("render", "camera=behind", "side, three_quarter"),
+        ("view", "port=-1", "port must be at least 0, got -1."),
+        ("view", "port=65536", "port must be at most 65,535, got 65536."),
     ],
 )
 def test_a_wrong_setting_of_the_other_commands_is_answered(capsys, run, name, argument, said):

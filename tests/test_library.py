@@ -39,7 +39,7 @@ def test_trains_and_evaluates(tmp_path, env, nodes, actions, capsys):
     assert 0 <= report["return_mean"] <= 1000 or env != "walker_walk"
     assert "380.0" not in capsys.readouterr().out
     assert command("render", f"run={run}", f"out={tmp_path / 'walk.png'}") == 2
-    assert "draws the walking task only" in capsys.readouterr().err
+    assert "only the walking task can be drawn" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("algorithm", ["sac", "ddpg"])

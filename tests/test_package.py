@@ -33,13 +33,14 @@ STAGES = [
     "gait_metrics gait_effort",
     "motion episode gait_summary",
     "settings",
-    "cli",
+    "usage cli",
     "train_settings run_config checkpoint",
     "evaluation",
     "perturb robustness plot robustness_plot",
+    "gl live film",
     "evaluate",
     "picture graph_picture",
-    "render",
+    "render panel view",
     "describe export",
     "interrupt sweep random_state run_log",
     "trainer",
@@ -47,6 +48,7 @@ STAGES = [
     "reporting.runs reporting.groups reporting.statistics reporting.verdict reporting.figures reporting.tables "
     "reporting.filmstrips reporting.page reporting",
     "report",
+    "__main__",
 ]
 ORDER = [name for stage in STAGES for name in stage.split()]
 HEAVY = ("hydra", "dm_control", "torch", "torchrl", "mujoco")

@@ -75,7 +75,7 @@ def test_perturbations_build():
         assert isinstance(build(composed("run=x", f"{OF_EVALUATE}={file.stem}", root="evaluate")), EvaluateSettings)
 
 
-@pytest.mark.parametrize("root", ["evaluate", "export", "render", "report"])
+@pytest.mark.parametrize("root", ["evaluate", "export", "render", "report", "view"])
 def test_the_other_commands_build(root):
     key = "runs" if root == "report" else "run"
     assert getattr(build(composed(f"{key}=somewhere", root=root)), key) == "somewhere"
@@ -134,7 +134,7 @@ def test_every_key_has_a_comment():
     assert len(seen) > 60 and not missing
 
 
-@pytest.mark.parametrize("root", ["config", "evaluate", "export", "render", "report"])
+@pytest.mark.parametrize("root", ["config", "evaluate", "export", "render", "report", "view"])
 def test_every_key_is_a_parameter_and_every_parameter_a_key(root):
     def check(node, path=""):
         if "_target_" in node:

@@ -10,7 +10,7 @@ from PIL import Image
 from gctd3.checkpoint import load_policy
 from gctd3.envs.library import LibrarySettings
 from gctd3.errors import GCTD3Error, RenderError
-from gctd3.render import draw, record, sheet
+from gctd3.film import draw, record, sheet
 from gctd3.reporting.runs import Run
 from gctd3.robot import Robot
 from gctd3.run_config import load_settings
@@ -44,6 +44,6 @@ def filmstrip(run: Run, robot: Robot, camera: str = "side") -> Image.Image:
         first = int(np.argmax(walk.position >= min(BEGIN, walk.position[-1] / 2)))
         chosen = first + np.round(steps * np.arange(COLUMNS * ROWS) / (COLUMNS * ROWS)).astype(int)
         chosen = chosen[chosen < len(walk.qpos)]
-        return sheet(draw(walk, robot, chosen, camera, (SIZE, SIZE), env.control_dt), COLUMNS)
+        return sheet(list(draw(walk, robot, chosen, camera, (SIZE, SIZE), env.control_dt)), COLUMNS)
     except GCTD3Error as error:
         raise RenderError(str(error)) from error
