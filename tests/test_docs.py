@@ -135,7 +135,7 @@ def test_a_command_of_readme_runs(line, place, monkeypatch, capfd):
         assert command(name, *arguments) == 0
         out = [word.partition("=")[2] for word in arguments if word.startswith("out=")]
         assert all((place / file).exists() for file in out)
-        assert out or name == "evaluate" or set(place.rglob("*")) > before
+        assert out or name == "evaluate" or set(place.rglob("*")) - before
     else:
         script = [str(ROOT / name)] if name else ["-m", "gctd3"]
         subprocess.run([sys.executable, *script, *arguments], check=True)

@@ -152,7 +152,9 @@ def undocumented(node, prefix=""):
     for child in node.body:
         if not isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) or child.name.startswith("_"):
             continue
-        if not ast.get_docstring(child):
+        # What a property is, its getter says.
+        setter = any(getattr(decorator, "attr", "") == "setter" for decorator in child.decorator_list)
+        if not setter and not ast.get_docstring(child):
             yield f"{prefix}{child.name}"
         if isinstance(child, ast.ClassDef):
             yield from undocumented(child, f"{prefix}{child.name}.")
