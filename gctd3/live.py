@@ -188,6 +188,7 @@ class LiveWalk:
 
     @friction.setter
     def friction(self, value: float) -> None:
+        """Set that of the ground and of the feet."""
         # MuJoCo takes the larger of two geoms' frictions.
         self.robot.model.geom_friction[self._rubbing, 0] = value
 
@@ -198,6 +199,7 @@ class LiveWalk:
 
     @payload.setter
     def payload(self, value: float) -> None:
+        """Put a mass on the root body, in place of the one before."""
         self.robot.model.body_mass[self._root] = self._mass + value
         # What MuJoCo derives from masses; it wants data to work in.
         mujoco.mj_setConst(self.robot.model, mujoco.MjData(self.robot.model))
