@@ -17,6 +17,7 @@ from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -60,6 +61,11 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
         if GlobalHydra.instance().is_initialized():
             raise
         _fail(f"The arguments cannot be combined: {error or type(error).__name__}")
+    except RuntimeError as error:
+        plugin = re.search(r"Unknown plugin class : 'hydra_plugins\.hydra_(\w+)_launcher", str(error))
+        if plugin is None:
+            raise
+        _fail(f"hydra/launcher={plugin[1]} needs its package: pip install 'gctd3[{plugin[1]}]'.")
 
 
 def _robot_file(argument: str) -> str:
@@ -86,6 +92,8 @@ def _guarded(task: Callable[[DictConfig], None], config: str) -> Callable[[DictC
             task(settings)
         except _USER_ERRORS as error:
             _remove_empty(Path(HydraConfig.get().runtime.output_dir))
+            if _launched():
+                raise  # for the process that started the sweep to say
             _fail(explain(error, config))
         except RuntimeError as error:
             # PyTorch's way to say that memory is short.
@@ -94,6 +102,12 @@ def _guarded(task: Callable[[DictConfig], None], config: str) -> Callable[[DictC
             _fail(explain(MemoryError(str(error).splitlines()[0]), config))
 
     return guarded
+
+
+def _launched() -> bool:
+    """Whether this is a run of a sweep that a launcher put elsewhere, where nobody sees its exit code."""
+    launcher = str(HydraConfig.get().launcher._target_)
+    return HydraConfig.get().mode is RunMode.MULTIRUN and not launcher.startswith("hydra._internal")
 
 
 def _remove_empty(directory: Path) -> None:

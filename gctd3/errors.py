@@ -26,6 +26,10 @@ class NumericalError(GCTD3Error, ArithmeticError):
     """A number is NaN or infinite where it must not be."""
 
 
+class WorkerError(GCTD3Error, RuntimeError):
+    """Workers that collect cannot be started, or do not last."""
+
+
 class RenderError(GCTD3Error, RuntimeError):
     """Nothing can be drawn here."""
 

@@ -25,6 +25,7 @@ HARMLESS = (
     "logger",
     "total_frames",
     "total_episodes",
+    "time_limit",
     "threads",
     "env.threads",
     "env.check",
@@ -32,6 +33,12 @@ HARMLESS = (
     "keep_checkpoints",
     "checkpoint_every",
     "stop_when",
+    "collector.workers",
+    "collector.cpus",
+    "collector.patience",
+    "collector.start_within",
+    "collector.restarts",
+    "collector.address",
     "resume",
 )
 

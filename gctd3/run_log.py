@@ -10,7 +10,8 @@ from typing import Any
 
 from torchrl.record.loggers import Logger, get_logger
 
-from gctd3.errors import ConfigError
+from gctd3.checkpoint import FOLDER
+from gctd3.errors import ConfigError, RunError
 from gctd3.files import write_text
 from gctd3.train_settings import COLUMNS
 
@@ -89,3 +90,11 @@ def make_logger(kind: str, directory: Path) -> Logger | None:
         return get_logger(kind, logger_name=str(directory), experiment_name=kind)
     except (ImportError, ModuleNotFoundError) as error:
         raise ConfigError(f"logger={kind} needs its package: pip install 'gctd3[{kind}]' ({error}).") from error
+
+
+def refuse_a_run(directory: Path) -> None:
+    """Raise a :class:`.RunError` if a training has written to ``directory``."""
+    if (directory / PROGRESS).exists() or (directory / FOLDER).exists():
+        raise RunError(
+            f"{directory} holds a run already: choose another hydra.run.dir, or continue it with resume={directory}."
+        )

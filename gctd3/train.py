@@ -39,7 +39,8 @@ def _train(config: DictConfig, stop: StopRequest) -> None:
     settings = build(config)
     settings.check_here()
     # Imported late, so that --help and a wrong setting are answered at once.
-    from gctd3.trainer import Trainer, refuse_a_run
+    from gctd3.run_log import refuse_a_run
+    from gctd3.trainer import Trainer
 
     with only_one(run):
         if not resumed:
@@ -59,7 +60,7 @@ def _train(config: DictConfig, stop: StopRequest) -> None:
             )
         trainer.run(stop)
     print(_summary(trainer.best, run))
-    if stop:
+    if not trainer.finished:
         print(f"Continue it:  python -m gctd3.train resume={run}")
 
 

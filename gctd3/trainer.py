@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import random
@@ -18,19 +19,18 @@ from torch import Tensor
 from torchrl import torchrl_logger
 from tqdm import tqdm
 
-from gctd3.checkpoint import FOLDER, STATE, Checkpoints, fit
-from gctd3.collector import InlineCollector
+from gctd3.checkpoint import STATE, Checkpoints, fit
+from gctd3.collectors import build_collector
 from gctd3.device import pick_device
 from gctd3.envs.factory import EnvSettings, build_env
-from gctd3.envs.state import has_state
-from gctd3.errors import NumericalError, RunError
+from gctd3.errors import NumericalError, RunError, WorkerError
 from gctd3.evaluate import evaluate
 from gctd3.exploration import Explorer
 from gctd3.faults import check_collected, check_losses
 from gctd3.files import new_directory, save_tree, write_manifest
 from gctd3.interrupt import StopRequest
 from gctd3.replay import Mirror, Replay
-from gctd3.run_log import PROGRESS, RunLog
+from gctd3.run_log import RunLog
 from gctd3.train_settings import TrainSettings
 
 MOST_TIME = 0.03  # share of the wall-clock that checkpoints may take
@@ -87,8 +87,7 @@ class Trainer:
         self.explorer = Explorer(self.algorithm.actor, self.robot, env.num_envs, settings.exploration, env.control_dt)
         mirror = Mirror(self.robot, env.history) if settings.replay.mirror else None
         self.replay = Replay(settings.replay, settings.algo.gamma, env.history, mirror, self.device)
-        training_env = build_env(self.robot, env, settings.reward, settings.seed)
-        self.collector = InlineCollector(training_env, self.explorer, settings.steps)
+        self.collector = build_collector(settings, self.robot, self.explorer)
         threads = env.threads if isinstance(env, EnvSettings) else None
         judged = env.judging(settings.evaluation.episodes, threads)
         self.evaluation_env = build_env(self.robot, judged, settings.evaluation.reward, settings.evaluation.seed)
@@ -111,11 +110,11 @@ class Trainer:
     @property
     def _spent(self) -> bool:
         settings, now = self.settings, self.counters
-        batch = settings.env.num_envs * settings.steps
-        return now.frames + batch > settings.total_frames or now.episodes >= (settings.total_episodes or math.inf)
+        over = now.frames + settings.batch_frames > settings.total_frames
+        return over or now.episodes >= (settings.total_episodes or math.inf)
 
     def run(self, stop: StopRequest | None = None) -> dict[str, float] | None:
-        """Train until it is finished or ``stop`` is set.
+        """Train until it is finished, ``stop`` is set or ``time_limit`` is over.
 
         Returns:
             The metrics of the best evaluation; ``None`` if there was none.
@@ -123,14 +122,23 @@ class Trainer:
         Raises:
             NumericalError: If an observation, action, reward or loss is not finite.
             RunError: If a checkpoint cannot be written.
+            WorkerError: If workers that collect do not last; a checkpoint is written before.
         """
-        self._clock = time.monotonic()
+        self._clock = began = time.monotonic()
+        limit = math.inf if self.settings.time_limit is None else 60.0 * self.settings.time_limit
         shown = {"unit": " steps", "unit_scale": True, "smoothing": 0.05, "mininterval": 0.5, "dynamic_ncols": True}
-        with tqdm(total=self.settings.total_frames, initial=self.counters.frames, **shown) as bar:
-            while not self.finished and not stop:
-                self._iterate(bar)
-                if self._wall() >= self._next_save:
-                    self.save()
+        with (
+            contextlib.closing(self.collector),
+            tqdm(total=self.settings.total_frames, initial=self.counters.frames, **shown) as bar,
+        ):
+            try:
+                while not self.finished and not stop and time.monotonic() - began < limit:
+                    self._iterate(bar)
+                    if self._wall() >= self._next_save:
+                        self.save()
+            except WorkerError as error:
+                self.save()
+                raise WorkerError(f"{error}. Continue it:  python -m gctd3.train resume={self.directory}") from error
             self.save()
         return self.best
 
@@ -149,7 +157,7 @@ class Trainer:
         self.replay.extend(collected)
         metrics: dict[str, Tensor] = {}
         if not self.explorer.warming_up and self.replay.ready:
-            for _ in range(settings.updates):
+            for _ in range(settings.batch_updates):
                 seen["batch"] = self.replay.sample()
                 metrics = self.algorithm.update(seen["batch"])
             check_losses(metrics)
@@ -191,7 +199,7 @@ class Trainer:
 
     def save(self) -> None:
         """Write a checkpoint, unless the simulator's state cannot be read: then the run cannot be continued either."""
-        if not has_state(self.collector.env):
+        if not self.collector.resumable:
             return
         began = time.monotonic()
         self.checkpoints.save(self.counters.frames, self.state_dict(), self.replay.buffer)
@@ -207,7 +215,7 @@ class Trainer:
         Raises:
             RunError: If all are damaged or do not fit the settings, or the task is another library's.
         """
-        if not has_state(self.collector.env):
+        if not self.collector.resumable:
             raise RunError(f"{self.directory} cannot be continued: the state of its task's simulator cannot be saved.")
         found = self.checkpoints.newest()
         if found is None:
@@ -267,7 +275,7 @@ class Trainer:
             for name, batch in seen.items():
                 save_tree(aside / f"{name}.safetensors", batch.to_dict())
             # Another library's simulator keeps its state to itself.
-            if has_state(self.collector.env):
+            if self.collector.resumable:
                 save_tree(aside / STATE, self.state_dict())
             write_manifest(aside, {"error": said})
         return NumericalError(
@@ -284,11 +292,3 @@ class Trainer:
             "best": f"{best['return_mean']:.0f}",
         }
         return {**shown, "diverged": str(self.counters.diverged)} if self.counters.diverged else shown
-
-
-def refuse_a_run(directory: Path) -> None:
-    """Raise a :class:`.RunError` if a training has written to ``directory``."""
-    if (directory / PROGRESS).exists() or (directory / FOLDER).exists():
-        raise RunError(
-            f"{directory} holds a run already: choose another hydra.run.dir, or continue it with resume={directory}."
-        )

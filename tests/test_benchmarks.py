@@ -39,7 +39,9 @@ def run(gait_table, contender, minutes, outcome="reached", seed=0, **row):
     return gait_table.Run(contender, seed, outcome, minutes, [evaluation(**row)])
 
 
-@pytest.mark.parametrize("name", ["env_throughput", "learner_throughput", "peers", "scaling", "time_to_gait"])
+@pytest.mark.parametrize(
+    "name", ["env_throughput", "learner_throughput", "peers", "scale_out", "scaling", "time_to_gait"]
+)
 def test_an_unknown_option_exits_with_the_accepted_ones(name, monkeypatch):
     benchmark = importlib.import_module(name)
     monkeypatch.setattr(sys, "argv", [f"{name}.py", "ouput=x.json", "--help"])
