@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import concurrent.futures
 import contextlib
 import os
 import re
@@ -14,8 +15,10 @@ from typing import Any
 
 from gctd3.collector import ProcessSettings
 from gctd3.errors import ConfigError, WorkerError
+from gctd3.threads import in_thread
 
 ANSWER = 5.0  # s, that a head node may take to accept a connection
+JOIN = 30.0  # s, that joining a cluster may take
 PROBE = 60.0  # s, that the nodes may take to say what is installed on them
 # What learner and workers must have alike: they exchange pickled settings, networks and steps.
 ALIKE = ("gctd3", "torch", "torchrl", "tensordict", "mujoco")
@@ -59,25 +62,31 @@ class RaySettings(ProcessSettings):
         check_alike(installed(), _on_nodes())
 
     def _connect(self) -> None:
-        # Before the import: Ray reads them there. It would report usage, and wait long for what does not answer.
+        # Before the import, where Ray reads it; by default it reports that it is used.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        os.environ.setdefault("RAY_py_gcs_connect_timeout_s", f"{ANSWER:g}")
         import ray
 
         if ray.is_initialized():
             return
         if self.address is not None and self.address != "auto":
             _check_answers(self.address)
-        try:
-            ray.init(
+        # In a thread: Ray tries for minutes to talk to what is no cluster, and in the main one would take over SIGTERM.
+        joined = in_thread(
+            lambda: ray.init(
                 address=self.address or "local",
                 include_dashboard=False if self.address is None else None,
                 logging_level="error",
                 log_to_driver=False,
             )
+        )
+        try:
+            joined.result(None if self.address is None else JOIN)
+        except concurrent.futures.TimeoutError as error:
+            raise ConfigError(
+                f"collector.address={self.address}: what listens there has not answered as a Ray cluster in {JOIN:g} s."
+            ) from error
         except Exception as error:  # Ray raises bare ones too
-            lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-            said = " ".join(lines[:4]) or type(error).__name__
+            said = " ".join(line.strip() for line in str(error).splitlines()[:4]) or type(error).__name__
             if self.address is None:
                 raise WorkerError(f"No Ray cluster could be started on this machine: {said}") from error
             raise ConfigError(f"collector.address={self.address}: cannot join a Ray cluster there: {said}") from error

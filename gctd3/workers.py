@@ -11,11 +11,9 @@ import concurrent.futures
 import copy
 import multiprocessing
 import sys
-import threading
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -27,12 +25,11 @@ from gctd3.collector import ProcessSettings
 from gctd3.errors import WorkerError
 from gctd3.exploration import Explorer
 from gctd3.robot import Robot
+from gctd3.threads import in_thread
 from gctd3.train_settings import TrainSettings
 from gctd3.worker import Job, Launch, Policy, Worker
 
 CLOSE = 20.0  # s, that workers may take to end
-
-T = TypeVar("T")
 
 
 @dataclass
@@ -60,7 +57,7 @@ class _Slot:
     def ask(self, weights: TensorDictBase) -> None:
         """For the next batch, with these weights."""
         if self.worker is not None:
-            self.task = _in_thread(partial(self.worker.next, weights))
+            self.task = in_thread(partial(self.worker.next, weights))
 
     def cut(self) -> None:
         """End the episodes of what is held, where they have not ended by themselves."""
@@ -140,7 +137,7 @@ class WorkerCollector:
             slot.worker = worker
             return worker.next(weights)
 
-        slot.task = _in_thread(begin)
+        slot.task = in_thread(begin)
         return slot.task
 
     def _wait(self, slot: _Slot) -> TensorDictBase:
@@ -180,7 +177,7 @@ class WorkerCollector:
             slot.started += 1  # one that is still starting is not wanted any more
             slot.cut()
             if slot.worker is not None:
-                closing.append(_in_thread(slot.worker.close))
+                closing.append(in_thread(slot.worker.close))
             slot.worker = slot.task = None
         if concurrent.futures.wait(closing, timeout=CLOSE).not_done or starting:
             # Python waits at its end for processes that nobody would end.
@@ -207,17 +204,3 @@ def cut(batch: TensorDictBase) -> TensorDictBase:
     following["truncated"][:, -1] |= ~following["done"][:, -1]
     following["done"][:, -1] = True
     return batch
-
-
-def _in_thread(function: Callable[[], T]) -> concurrent.futures.Future[T]:
-    """The result to come of a function that runs in a thread, which does not keep the program from ending."""
-    future: concurrent.futures.Future[T] = concurrent.futures.Future()
-
-    def run() -> None:
-        try:
-            future.set_result(function())
-        except BaseException as error:
-            future.set_exception(error)
-
-    threading.Thread(target=run, daemon=True).start()
-    return future

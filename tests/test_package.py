@@ -26,7 +26,7 @@ STAGES = [
     "objectives.stacked objectives.td3 objectives.sac objectives",
     "algorithms.base algorithms.td3 algorithms.ddpg algorithms.sac algorithms",
     "exploration",
-    "faults collector ray_cluster",
+    "threads faults collector ray_cluster",
     "device",
     "frame_buffer replay",
     "gait_metrics gait_effort",
