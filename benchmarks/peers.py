@@ -33,9 +33,9 @@ import gctd3  # noqa: F401 - registers the Gymnasium task
 from gctd3.cli import CONF
 from gctd3.envs.factory import build_env
 from gctd3.evaluate import evaluate
+from gctd3.run_log import PROGRESS
 from gctd3.settings import build
 from gctd3.train_settings import COLUMNS, TrainSettings
-from gctd3.trainer import PROGRESS
 
 RECIPE = "recipe.json"
 ACTION_NOISE = 0.1  # of the TD3 example in Stable-Baselines3's documentation; the class itself adds none

@@ -7,6 +7,7 @@ import functools
 import os
 import re
 import sys
+import warnings
 from collections.abc import Callable
 from importlib import resources
 from importlib.util import find_spec
@@ -44,6 +45,8 @@ def command(config: str, task: Callable[[DictConfig], None]) -> None:
     # What a run is about, in its path.
     OmegaConf.register_new_resolver("subject", _subject, replace=True)
     sys.argv[1:] = map(_robot_file, sys.argv[1:])
+    # A launcher's plug-in has settings of the same name as ours in conf/, on purpose.
+    warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/", category=UserWarning)
     # Hydra would print and exit; this way its errors come here, to be said in the library's words.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:

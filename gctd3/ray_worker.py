@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+from collections.abc import Iterator
 
 import ray
 from tensordict import TensorDictBase
@@ -28,7 +29,7 @@ class RayWorker(Worker):
             # The learner restarts it, with other seeds.
             remote_configs=[{"num_cpus": job.cpus, "num_gpus": 0, "max_restarts": 0}],
         )
-        self._batches = None
+        self._batches: Iterator[TensorDictBase] | None = None
 
     def next(self, weights: TensorDictBase) -> TensorDictBase:
         """Its next batch, ``[robots, steps]``, collected with these weights."""

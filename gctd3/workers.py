@@ -11,6 +11,7 @@ import concurrent.futures
 import copy
 import multiprocessing
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -108,7 +109,7 @@ class WorkerCollector:
         fresh = [self._wait(slot) for slot in self._slots]
         for slot in self._slots:
             slot.ask(weights)
-        self.latest = torch.cat([slot.held for slot in self._slots])
+        self.latest = _beside([slot.held for slot in self._slots])
         for slot, batch in zip(self._slots, fresh, strict=True):
             slot.held = batch
         self.explorer.frames += self.latest.numel()
@@ -187,7 +188,7 @@ class WorkerCollector:
     def state_dict(self) -> dict[str, Any]:
         """What has not been delivered yet, all robots side by side; where the robots are is not known."""
         held = [slot.held for slot in self._slots if slot.held is not None]
-        return {"held": torch.cat(held).to_dict() if len(held) == len(self._slots) else None}
+        return {"held": _beside(held).to_dict() if len(held) == len(self._slots) else None}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore :meth:`state_dict`; the episodes end there, and the robots start anew."""
@@ -204,3 +205,9 @@ def cut(batch: TensorDictBase) -> TensorDictBase:
     following["truncated"][:, -1] |= ~following["done"][:, -1]
     following["done"][:, -1] = True
     return batch
+
+
+def _beside(parts: Sequence[TensorDictBase]) -> TensorDictBase:
+    """The robots of all parts, in their order."""
+    joined: TensorDictBase = torch.cat(tuple(parts))
+    return joined

@@ -63,7 +63,8 @@ def test_a_small_run_measures_and_is_sized_again_from_its_file(scale_out, tmp_pa
         assert 2 * 8 * 2 * 5 * 4 < rates["step_bytes"] < 4000
     # The paper's graph layers on 8 nodes (10 -> 32 -> 32 -> 16), two layers of 16 units, 6 actions.
     weights = 10 * 32 + 32 + 32 * 32 + 32 + 32 * 16 + 16 + 8 * 16 * 16 + 16 + 16 * 16 + 16 + 16 * 6 + 6
-    assert weights * 4 <= one["weight_bytes"] <= weights * 4 + 4 * (8 * 8 + 4 * 16)
+    # Besides them a few of the normalisation, and the graph's constants.
+    assert weights * 4 <= one["weight_bytes"] <= 1.1 * weights * 4
     printed = capsys.readouterr().out
     monkeypatch.setattr(sys, "argv", ["scale_out.py", f"sizing={file}"])
     scale_out.main()
