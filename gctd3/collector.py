@@ -47,7 +47,7 @@ class ProcessSettings:
         chunk: As many times ``steps`` are collected between two messages, and as many times ``updates`` follow.
         patience: Time (s) after which a worker that delivers nothing counts as hung.
         start_within: Time (s) that a worker may take to start.
-        restarts: Failures in a row, without a batch in between, after which a worker is given up and the run ends.
+        failures: Failures in a row, without a batch in between, that are borne; at one more a worker is given up and the run ends.
     """
 
     workers: int = 2
@@ -55,12 +55,12 @@ class ProcessSettings:
     chunk: int = 4
     patience: float = 60.0
     start_within: float = 300.0
-    restarts: int = 3
+    failures: int = 3
 
     def __post_init__(self) -> None:
         check_between(self, 1, MOST_WORKERS, "workers", "chunk")
         check_between(self, 1, 1024, "cpus")
-        check_between(self, 0, 10**6, "restarts")
+        check_between(self, 0, 10**6, "failures")
         for name in ("patience", "start_within"):
             value = getattr(self, name)
             if not 0 < value < math.inf:

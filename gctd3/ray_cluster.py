@@ -51,15 +51,9 @@ class RaySettings(ProcessSettings):
         if find_spec("ray") is None:
             raise ConfigError("collector=ray needs its package: pip install 'gctd3[ray]'.")
         self._connect()
-        import ray
-
-        nodes = {
-            str(node["NodeManagerHostname"]): int(node["Resources"].get("CPU", 0))
-            for node in ray.nodes()
-            if node["Alive"]
-        }
-        check_room(self.workers, self.cpus, nodes)
-        check_alike(installed(), _on_nodes())
+        nodes = _nodes()
+        check_room(self.workers, self.cpus, {name: int(node["Resources"]["CPU"]) for name, node in nodes.items()})
+        check_alike(installed(), _on_nodes(nodes))
 
     def _connect(self) -> None:
         # Before the import, where Ray reads it; by default it reports that it is used.
@@ -124,7 +118,18 @@ def installed() -> dict[str, str]:
     return found
 
 
-def _on_nodes() -> dict[str, dict[str, str]]:
+def _nodes() -> dict[str, dict[str, Any]]:
+    """The cluster's nodes that have CPUs, by host and number."""
+    import ray
+
+    return {
+        f"{node['NodeManagerHostname']}/{node['NodeID'][:6]}": node
+        for node in ray.nodes()
+        if node["Alive"] and node["Resources"].get("CPU", 0)
+    }
+
+
+def _on_nodes(nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
     """What is installed on every node, by its name."""
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
@@ -139,12 +144,10 @@ def _on_nodes() -> dict[str, dict[str, str]]:
                 found[package] = version(package)
         return found
 
-    asked: dict[str, Any] = {}
-    for node in ray.nodes():
-        if node["Alive"] and node["Resources"].get("CPU", 0):
-            where = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
-            remote = ray.remote(num_cpus=0, max_retries=0, scheduling_strategy=where)(probe)
-            asked[str(node["NodeManagerHostname"])] = remote.remote(ALIKE)
+    asked = {}
+    for name, node in nodes.items():
+        where = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
+        asked[name] = ray.remote(num_cpus=0, max_retries=0, scheduling_strategy=where)(probe).remote(ALIKE)
     try:
         return {name: ray.get(answer, timeout=PROBE) for name, answer in asked.items()}
     except ray.exceptions.RayError as error:

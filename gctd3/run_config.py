@@ -37,7 +37,7 @@ HARMLESS = (
     "collector.cpus",
     "collector.patience",
     "collector.start_within",
-    "collector.restarts",
+    "collector.failures",
     "collector.address",
     "resume",
 )

@@ -163,7 +163,7 @@ class WorkerCollector:
         slot.cut()
         slot.failures += 1
         slot.task = None
-        if slot.failures > self.workers.restarts:
+        if slot.failures > self.workers.failures:
             raise WorkerError(f"Worker {slot.index} {fault}, and has failed {slot.failures} times in a row")
         self.replaced += 1
         robots = slot.share.stop - slot.share.start

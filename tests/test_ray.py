@@ -142,7 +142,7 @@ def test_a_running_cluster_is_joined_and_its_end_leaves_a_checkpoint(tmp_path, h
     run = tmp_path / "run"
     long = tiny(run, *RAY, "total_frames=400_000", "evaluation.every=400_000", "checkpoint_every=0.5")
     joined = subprocess.Popen(
-        [sys.executable, "-m", "gctd3.train", *long, f"collector.address={address}", "collector.restarts=1"],
+        [sys.executable, "-m", "gctd3.train", *long, f"collector.address={address}", "collector.failures=1"],
         stderr=subprocess.PIPE,
         text=True,
     )

@@ -181,7 +181,7 @@ def test_a_worker_that_fails_is_replaced_and_nothing_else_changes(collector, cap
 
 def test_a_worker_that_never_lasts_is_given_up(collector, capsys):
     Near.faults = {(number, 1): breaks for number in range(20)}
-    collect = collector("collector.restarts=2")
+    collect = collector("collector.failures=2")
     with pytest.raises(WorkerError, match=r"The worker's node is gone.*has failed 3 times in a row"):
         collect.collect()
     assert capsys.readouterr().err.count("another takes its place") == 2
@@ -192,7 +192,7 @@ def test_a_worker_that_never_lasts_is_given_up(collector, capsys):
 
 def test_failures_between_deliveries_do_not_add_up(collector):
     Near.faults = {(0, 2): breaks, (2, 2): breaks, (3, 2): breaks}
-    collect = collector("collector.restarts=1")
+    collect = collector("collector.failures=1")
     for _ in range(8):
         collect.collect()
     assert collect.replaced == 3
