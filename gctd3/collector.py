@@ -47,7 +47,7 @@ class ProcessSettings:
         chunk: As many times ``steps`` are collected between two messages, and as many times ``updates`` follow.
         patience: Time (s) after which a worker that delivers nothing counts as hung.
         start_within: Time (s) that a worker may take to start.
-        failures: Failures in a row, without a batch in between, that are borne; at one more a worker is given up and the run ends.
+        failures: Failures of a worker in a row, without a batch in between, that are borne; at one more the run ends.
     """
 
     workers: int = 2
@@ -110,6 +110,10 @@ class InlineCollector:
                 step, self._state = self.env.step_and_maybe_reset(acting)
                 taken.append(step)
         return torch.stack(taken, dim=-1)
+
+    def follow(self, policy: TensorDictModuleBase) -> None:
+        """Go on with another policy, from where the robots are."""
+        self.policy = policy
 
     @property
     def resumable(self) -> bool:

@@ -122,6 +122,13 @@ class FrameBuffer:
         self.filled = min(self.filled + 1, self.rows)
         self.total += 1
 
+    def clear(self) -> None:
+        """Forget every row; :attr:`total` goes on counting."""
+        self.filled, self._free = 0, []
+        self._last = {key: values[:0] for key, values in self._last.items()}
+        if self._ring:
+            self._ring["last"].fill_(-1)
+
     def _places(self, count: int) -> list[int]:
         size = len(self._last["nodes"])
         if len(self._free) < count:
@@ -135,11 +142,14 @@ class FrameBuffer:
     def ready(self) -> int:
         """Rows that can be drawn.
 
-        The newest ``n_step`` lack their future (the very last even its next frame); once the ring has gone round, the
+        The newest ``n_step`` lack their future (the very last even its next frame); once rows have been forgotten, the
         oldest ``history - 1`` may lack their past.
         """
-        lost = self.n_step + (self.history - 1 if self.filled == self.rows else 0)
-        return max(0, self.filled - lost)
+        return max(0, self.filled - self.n_step - self._pastless)
+
+    @property
+    def _pastless(self) -> int:
+        return self.history - 1 if self.total > self.filled else 0
 
     def sample(self) -> TensorDictBase:
         """A batch of ``batch_size`` transitions with stacked histories, drawn uniformly.
@@ -149,7 +159,7 @@ class FrameBuffer:
         """
         if not self.ready:
             raise RuntimeError(f"The replay holds {self.filled} steps of each robot: too few to draw from.")
-        first = self.head + self.history - 1 if self.filled == self.rows else 0
+        first = self.head - self.filled + self._pastless
         steps = (first + self._draw(self.ready)) % self.rows
         return self.gather(steps, self._draw(self.robots))
 
@@ -220,6 +230,7 @@ class FrameBuffer:
         """Everything but the rows themselves, which :meth:`rows_between` gives."""
         return {
             "total": self.total,
+            "filled": self.filled,
             "robots": self.robots,
             "last": dict(self._last),
             "free": list(self._free),
@@ -246,15 +257,17 @@ class FrameBuffer:
         Raises:
             ValueError: If rows are missing.
         """
-        self._ring, self.head, self.filled, self.total = {}, 0, 0, int(state["total"])
+        self._ring, self.head, self.filled, self.total = {}, 0, int(state["filled"]), int(state["total"])
         self._last = {key: value.to(self.device) for key, value in state["last"].items()}
         self._free = list(state["free"])
         if not self.total:
             return
         self.robots = int(state["robots"])
         self.rows = self.capacity // self.robots
-        oldest = max(0, self.total - self.rows)
-        covered = oldest
+        self.head = self.total % self.rows
+        if not self.filled:
+            return
+        covered = self.total - self.filled
         for start, part in rows:
             stop = start + len(part["last"])
             if start > covered or stop <= covered:
@@ -269,5 +282,4 @@ class FrameBuffer:
             covered = stop
         if covered != self.total:
             raise ValueError(f"Rows {covered} to {self.total} of the replay are missing.")
-        self.head, self.filled = self.total % self.rows, min(self.total, self.rows)
         self._flat = {key: values.flatten(0, 1) for key, values in self._ring.items()}

@@ -131,6 +131,10 @@ class Replay:
         """Remember ``collected``, batch size ``[robots, time]``."""
         self.buffer.extend(collected)
 
+    def clear(self) -> None:
+        """Forget everything."""
+        self.buffer.clear()
+
     def load_state_dict(self, state: dict[str, Any], rows: Iterable[tuple[int, dict[str, Tensor]]]) -> None:
         """Restore what the buffer's ``state_dict`` gave, and of a :class:`.FrameBuffer` the rows that were kept."""
         if isinstance(self.buffer, FrameBuffer):
@@ -186,6 +190,12 @@ class StackedBuffer:
     def sample(self) -> TensorDictBase:
         """A batch drawn uniformly."""
         return self.torchrl.sample()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.torchrl.empty()
+        if self._steps is not None:
+            self._steps._buffer = None
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that is stored."""

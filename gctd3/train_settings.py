@@ -40,6 +40,7 @@ COLUMNS = (
     "flight_fraction",
     "diverged",
     "train_episodes",
+    "restarts",
 )
 
 
@@ -103,11 +104,15 @@ class StopWhen:
         at_least: Lowest values, by the name of the metric.
         at_most: Highest values, by the name of the metric.
         evaluations: Evaluations in a row that must show all of it to end the training; ``None`` to train on.
+        restart_after: Frames without an evaluation that shows all of it after which the training begins again, with
+            new weights and an empty replay: random restarts, against seeds that settle on a bad gait. ``None`` for
+            never.
     """
 
     at_least: Mapping[str, float] = field(default_factory=dict)
     at_most: Mapping[str, float] = field(default_factory=dict)
     evaluations: int | None = None
+    restart_after: int | None = None
 
     def __post_init__(self) -> None:
         unknown = [name for name in (*self.at_least, *self.at_most) if name not in COLUMNS]
@@ -118,6 +123,8 @@ class StopWhen:
             )
         if self.evaluations is not None and self.evaluations < 1:
             raise ConfigError(f"evaluations must be at least 1, or null, got {self.evaluations}.")
+        if self.restart_after is not None and self.restart_after < 1:
+            raise ConfigError(f"restart_after must be at least 1, or null, got {self.restart_after}.")
 
     def reached(self, metrics: Mapping[str, float]) -> int:
         """How many of the conditions hold; an undefined metric meets none."""
@@ -174,7 +181,7 @@ class TrainSettings:
     stop_when: StopWhen
     collector: InlineSettings | ProcessSettings = field(default_factory=InlineSettings)
     seed: int = 0
-    total_frames: int = 400_000
+    total_frames: int = 600_000
     total_episodes: int | None = None
     time_limit: float | None = None
     steps: int = 1

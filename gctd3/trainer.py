@@ -5,22 +5,22 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-import random
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl import torchrl_logger
 from tqdm import tqdm
 
+from gctd3.algorithms.base import Algorithm
 from gctd3.checkpoint import STATE, Checkpoints, fit
 from gctd3.collectors import build_collector
+from gctd3.counters import Counters
 from gctd3.device import pick_device
 from gctd3.envs.factory import EnvSettings, build_env
 from gctd3.errors import NumericalError, RunError, WorkerError
@@ -29,33 +29,13 @@ from gctd3.exploration import Explorer
 from gctd3.faults import check_collected, check_losses
 from gctd3.files import new_directory, save_tree, write_manifest
 from gctd3.interrupt import StopRequest
+from gctd3.random_state import load_random_state, random_state, seed_all
 from gctd3.replay import Mirror, Replay
 from gctd3.run_log import RunLog
 from gctd3.train_settings import TrainSettings
 
 MOST_TIME = 0.03  # share of the wall-clock that checkpoints may take
 POST_MORTEM = "post_mortem"
-
-
-@dataclass
-class Counters:
-    """Where a training is.
-
-    Attributes:
-        frames: Control steps of single robots so far.
-        episodes: Episodes that ended.
-        diverged: Episodes that ended because the simulation did not stay finite.
-        in_a_row: Evaluations in a row that met all conditions.
-        next_evaluation: Frames at which the next one is due.
-        wall_s: Seconds spent, before and after every resumption together.
-    """
-
-    frames: int = 0
-    episodes: int = 0
-    diverged: int = 0
-    in_a_row: int = 0
-    next_evaluation: int = 0
-    wall_s: float = 0.0
 
 
 class Trainer:
@@ -77,14 +57,11 @@ class Trainer:
         if settings.threads is not None:
             torch.set_num_threads(settings.threads)
         # Before the networks, so that their initial weights are the seed's.
-        random.seed(settings.seed)
-        np.random.seed(settings.seed)
-        torch.manual_seed(settings.seed)
+        seed_all(settings.seed)
         self.robot = settings.load_robot()
         self.device = pick_device(settings.device)
-        self.algorithm = settings.algo.build(settings.architecture(self.device))
+        self.algorithm, self.explorer = self._new_learner()
         env = settings.env
-        self.explorer = Explorer(self.algorithm.actor, self.robot, env.num_envs, settings.exploration, env.control_dt)
         mirror = Mirror(self.robot, env.history) if settings.replay.mirror else None
         self.replay = Replay(settings.replay, settings.algo.gamma, env.history, mirror, self.device)
         self.collector = build_collector(settings, self.robot, self.explorer)
@@ -95,10 +72,20 @@ class Trainer:
         said = {"graph": {"nodes": graph.nodes, "edges": graph.edges}, **(about or {})}
         self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, said)
         self.log = RunLog(directory, settings.logger)
-        self.counters = Counters(next_evaluation=max(settings.evaluation.every, settings.exploration.warmup_frames))
+        self.counters = Counters(next_evaluation=self._first_evaluation)
         self.best: dict[str, float] | None = None
         self._clock = time.monotonic()
         self._next_save = settings.checkpoint_every
+
+    def _new_learner(self) -> tuple[Algorithm, Explorer]:
+        settings, env = self.settings, self.settings.env
+        algorithm = settings.algo.build(settings.architecture(self.device))
+        exploring = Explorer(algorithm.actor, self.robot, env.num_envs, settings.exploration, env.control_dt)
+        return algorithm, exploring
+
+    @property
+    def _first_evaluation(self) -> int:
+        return max(self.settings.evaluation.every, self.settings.exploration.warmup_frames)
 
     @property
     def finished(self) -> bool:
@@ -160,6 +147,7 @@ class Trainer:
             for _ in range(settings.batch_updates):
                 seen["batch"] = self.replay.sample()
                 metrics = self.algorithm.update(seen["batch"])
+            now.updates += settings.batch_updates
             check_losses(metrics)
         now.frames += collected.numel()
         now.episodes += int(collected["next", "done"].sum())
@@ -172,6 +160,23 @@ class Trainer:
         self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
         bar.set_postfix(self._postfix(row), refresh=True)
         now.in_a_row = now.in_a_row + 1 if settings.stop_when.all_reached(row) else 0
+        if now.in_a_row:
+            now.promising = now.frames
+        elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
+            self._begin_again(bar)
+
+    def _begin_again(self, bar: tqdm[Any]) -> None:
+        """New weights, an empty replay, another warm-up; the best policy and the robots stay."""
+        now = self.counters
+        bar.write(
+            f"After {now.frames:,} steps: no evaluation in {now.frames - now.promising:,} met all conditions. "
+            "It begins again with new weights; the best policy is kept."
+        )
+        self.algorithm, self.explorer = self._new_learner()
+        self.collector.follow(self.explorer)
+        self.replay.clear()
+        now.restarts, now.promising = now.restarts + 1, now.frames
+        now.next_evaluation = now.frames + self._first_evaluation
 
     def _evaluate(self) -> dict[str, float]:
         settings, now = self.settings, self.counters
@@ -179,10 +184,11 @@ class Trainer:
         result = evaluate(policy, self.evaluation_env, self.robot, settings.evaluation.seed, settings.env.control_dt)
         metrics: dict[str, float] = {
             "frames": now.frames,
-            "updates": self.algorithm.updates,
+            "updates": now.updates,
             "wall_s": round(self._wall(), 2),
             "diverged": now.diverged,
             "train_episodes": now.episodes,
+            "restarts": now.restarts,
             **result.summary(),
             **{key: value for key, value in result.gait().items() if key != "episodes"},
         }
@@ -231,7 +237,6 @@ class Trainer:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that the rest of the training depends on, but the replay."""
-        cuda = torch.cuda.get_rng_state_all() if self.device.type == "cuda" else []
         return {
             "counters": {**asdict(self.counters), "wall_s": self._wall()},
             "best": self.best,
@@ -239,12 +244,7 @@ class Trainer:
             "algorithm": self.algorithm.state_dict(),
             "explorer": self.explorer.state_dict(),
             "collector": self.collector.state_dict(),
-            "random": {
-                "python": random.getstate(),
-                "numpy": np.random.get_state(),
-                "torch": torch.get_rng_state(),
-                "cuda": cuda,
-            },
+            "random": random_state(self.device),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -255,20 +255,14 @@ class Trainer:
         self.algorithm.load_state_dict(state["algorithm"])
         self.explorer.load_state_dict(state["explorer"])
         self.collector.load_state_dict(state["collector"])
-        generators = state["random"]
-        version, words, gauss = generators["python"]
-        random.setstate((version, tuple(words), gauss))
-        np.random.set_state(tuple(generators["numpy"]))
-        torch.set_rng_state(generators["torch"])
-        if self.device.type == "cuda" and generators["cuda"]:
-            torch.cuda.set_rng_state_all(generators["cuda"])
+        load_random_state(state["random"], self.device)
         self._clock = time.monotonic()
         self._next_save = self._wall() + self.settings.checkpoint_every
 
     def _post_mortem(self, error: NumericalError, seen: Mapping[str, TensorDictBase]) -> NumericalError:
         """Keep what is needed to find the cause; the error that says where."""
         target = self.directory / POST_MORTEM
-        said = f"After {self.counters.frames:,} steps and {self.algorithm.updates:,} updates, {error}."
+        said = f"After {self.counters.frames:,} steps and {self.counters.updates:,} updates, {error}."
         if target.exists():
             return NumericalError(f"{said} {target} holds what an earlier one left.")
         with new_directory(target) as aside:

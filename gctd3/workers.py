@@ -171,6 +171,13 @@ class WorkerCollector:
         tqdm.write(line, file=sys.stderr)
         self._start(slot)
 
+    def follow(self, explorer: Explorer) -> None:
+        """Go on with another explorer: with new workers, and without what the old ones have not delivered."""
+        self.close()
+        self.explorer = explorer
+        for slot in self._slots:
+            slot.held = None
+
     def close(self) -> None:
         """End all workers; :meth:`collect` would start others."""
         closing, starting = [], any(slot.task is not None and slot.worker is None for slot in self._slots)

@@ -56,6 +56,21 @@ def test_a_walk_is_every_episode_at_the_finish_with_the_papers_return(gait_table
     assert gait_table.passes(evaluation(success, reward)) is passed
 
 
+def test_memory_is_compared_once_the_replay_is_full():
+    memory = importlib.import_module("memory")
+    # It fills up to 500 MB, then grows by 1 MB a sample.
+    samples = [(i / 6, 1000 * i, min(500.0, 100.0 * i)) for i in range(10)]
+    samples += [(i / 6, 1000 * i, 500.0 + i - 10) for i in range(10, 30)]
+    assert memory.growth(samples, capacity=10_000) == (500.5, 518.5)
+    with pytest.raises(SystemExit, match="full in 5 samples, of at least 10: train longer"):
+        memory.growth(samples, capacity=25_000)
+
+
+def test_resident_memory_is_what_python_itself_counts():
+    usage = pytest.importorskip("resource").getrusage(0).ru_maxrss / 1e3  # kB, the most that there was
+    assert 0 < importlib.import_module("memory").resident(os.getpid()) < 1.1 * 1.024 * usage
+
+
 def test_progress_is_read_up_to_its_last_whole_row(gait_table, tmp_path):
     file = tmp_path / "progress.csv"
     assert gait_table.read_progress(file) == []

@@ -93,6 +93,26 @@ def test_restores_what_it_saved(collected):
     assert (first == other.sample()).all()
 
 
+@pytest.mark.parametrize("capacity", [1000, 30])  # rows
+@pytest.mark.parametrize("restored", [False, True])
+def test_once_cleared_it_draws_only_what_came_after(collected, capacity, restored):
+    buffer = fill(FrameBuffer(capacity * ROBOTS, 64, HISTORY, 3, GAMMA), collected[:, :100], 10)
+    buffer.clear()
+    assert len(buffer) == buffer.ready == 0
+    if restored:
+        state, buffer = buffer.state_dict(), FrameBuffer(capacity * ROBOTS, 64, HISTORY, 3, GAMMA)
+        buffer.load_state_dict(state, iter([]))
+    fill(buffer, collected[:, 100:120], 10)
+    # The first four may lack their past, the last three their future.
+    assert buffer.ready == 20 - 4 - 3
+    reference = {tuple(action.tolist()) for action in collected["action"][:, 104:117].reshape(-1, 6)}
+    torch.manual_seed(0)
+    assert {tuple(action.tolist()) for _ in range(40) for action in buffer.sample()["action"]} == reference
+    rows = buffer.rows_between(100, 120)
+    assert (rows["action"] == collected["action"][:, 100:120].movedim(1, 0)).all()
+    assert int((rows["last"] >= 0).sum()) + len(buffer._free) == len(buffer._last["nodes"])
+
+
 def test_too_little_to_draw_from_and_too_little_room(collected):
     buffer = FrameBuffer(1000, 8, HISTORY, 3, GAMMA)
     with pytest.raises(RuntimeError, match="too few to draw from"):

@@ -37,7 +37,7 @@ STAGES = [
     "evaluate",
     "picture graph_picture",
     "render",
-    "interrupt run_log",
+    "interrupt random_state counters run_log",
     "worker process_worker ray_worker workers collectors",
     "trainer",
     "train",

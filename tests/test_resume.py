@@ -101,6 +101,17 @@ def test_stopped_in_the_warm_up_and_twice_more(tmp_path):
     assert_same_run(whole, part)
 
 
+@pytest.mark.parametrize("storage", ["frames", "stacked"])
+def test_stopped_after_it_had_begun_again(tmp_path, storage):
+    never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=80", "exploration.warmup_frames=40"]
+    settings = [*never, f"replay.storage={storage}", "total_frames=320"]
+    whole = train(tmp_path / "whole", *settings)
+    assert [row["restarts"] for row in rows(whole)] == ["0", "1", "2", "3"]
+    part = stopped(tmp_path / "part", 200, *settings)
+    assert command("train", f"resume={part}") == 0
+    assert_same_run(whole, part)
+
+
 def test_more_frames_extend_a_finished_run(tmp_path):
     long = train(tmp_path / "long", "total_frames=400")
     run = train(tmp_path / "run")

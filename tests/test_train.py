@@ -151,6 +151,29 @@ def test_stop_when_ends_the_training(tmp_path):
     assert [row["frames"] for row in rows(run)] == ["80", "160"]
 
 
+def test_begins_again_when_no_evaluation_meets_all_conditions(tmp_path, capsys):
+    never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=160", "total_frames=400"]
+    run = train(tmp_path / "run", *never)
+    assert [(row["frames"], row["restarts"]) for row in rows(run)] == [
+        ("80", "0"), ("160", "0"), ("240", "1"), ("320", "1"), ("400", "2"),
+    ]  # fmt: skip
+    assert "After 320 steps: no evaluation in 160 met all conditions. It begins again" in capsys.readouterr().out
+    trainer = Recorded.last
+    # Since 320: all of the last warm-up, and none of what came before.
+    assert len(trainer.replay) == 80
+    # Two after each of the 21 steps from the end of a warm-up on; the last warm-up has just ended.
+    assert trainer.algorithm.updates == 2
+    assert int(rows(run)[-1]["updates"]) == trainer.counters.updates == 2 * (21 + 21) + 2
+    # Every time with other weights.
+    first, second = (trainer.policies[frames].state_dict() for frames in (240, 400))
+    assert any((first[key] != second[key]).any() for key in first)
+
+
+def test_does_not_begin_again_while_evaluations_meet_all_conditions(tmp_path):
+    run = train(tmp_path / "run", *EASY, "stop_when.evaluations=null", "stop_when.restart_after=80", "total_frames=240")
+    assert [row["restarts"] for row in rows(run)] == ["0", "0", "0"]
+
+
 def test_total_episodes_ends_the_training(tmp_path):
     run = train(tmp_path / "run", "total_frames=4000", "evaluation.every=4000", "total_episodes=3")
     (row,) = rows(run)

@@ -250,6 +250,19 @@ def test_a_run_that_has_delivered_nothing_goes_on_from_its_beginning(collector):
     assert collect.collect()["is_init"][:, 0].all()
 
 
+def test_another_explorer_is_followed_by_other_workers_from_their_beginnings(collector, robot):
+    collect = collector()
+    before = [collect.collect() for _ in range(3)]
+    settings = collect.settings
+    other = Explorer(collect.explorer.actor, robot, ROBOTS, settings.exploration)
+    collect.follow(other)
+    after = [collect.collect() for _ in range(2)]
+    assert after[0]["is_init"][:, 0].all() and not torch.equal(after[0]["nodes"], before[0]["nodes"])
+    assert_continuous(after)
+    assert int(other.frames) == 2 * ROBOTS * STEPS and len(Near.made) == 4
+    assert len({job.seed for job in Near.made}) == 4
+
+
 # Settings.
 
 

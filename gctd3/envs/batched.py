@@ -78,7 +78,8 @@ class BatchedEnv(EnvBase):
 
 
 def _column(values: np.ndarray) -> torch.Tensor:
-    return torch.from_numpy(values)[:, None]
+    # NumPy's indexing is several times quicker than PyTorch's.
+    return torch.from_numpy(values[:, None])
 
 
 def _done(terminated: np.ndarray, truncated: np.ndarray) -> dict[str, torch.Tensor]:
