@@ -11,6 +11,7 @@ import time
 
 import pytest
 from running import command, process, rows, tiny
+from test_process_worker import check_that_it_acts_with_the_weights_that_it_is_sent
 
 from gctd3.errors import ConfigError, WorkerError
 from gctd3.ray_cluster import RaySettings, check_alike, check_room
@@ -101,6 +102,24 @@ def kill_session(leader):
     for pid in map(int, found):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
+
+
+@needs_ray
+@pytest.mark.slow
+def test_a_worker_on_ray_acts_with_the_weights_that_it_is_sent(robot):
+    import ray
+
+    from gctd3.ray_worker import RayWorker
+
+    RaySettings(workers=1).check_here(5)
+    try:
+        worker, weights = check_that_it_acts_with_the_weights_that_it_is_sent(RayWorker, robot)
+        worker.kill()
+        with pytest.raises(ray.exceptions.RayActorError):
+            worker.next(weights)
+        worker.close()
+    finally:
+        ray.shutdown()
 
 
 STRIKING = """
