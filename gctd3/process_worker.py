@@ -79,7 +79,10 @@ class ProcessWorker(Worker):
         for process in self._collector.procs:
             with contextlib.suppress(ValueError):  # it is closed
                 process.kill()
+        self.close()
 
     def close(self) -> None:
         """Let it end."""
+        threads = torch.get_num_threads()
         self._collector.shutdown(timeout=10.0, raise_on_error=False)
+        torch.set_num_threads(threads)  # it gives the learner those of its worker
