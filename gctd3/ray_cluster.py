@@ -83,7 +83,10 @@ class RaySettings(ProcessSettings):
             said = " ".join(line.strip() for line in str(error).splitlines()[:4]) or type(error).__name__
             if self.address is None:
                 raise WorkerError(f"No Ray cluster could be started on this machine: {said}") from error
-            raise ConfigError(f"collector.address={self.address}: cannot join a Ray cluster there: {said}") from error
+            raise ConfigError(
+                f"collector.address={self.address}: cannot join a Ray cluster there: {said}. "
+                "If it asks for a token, this machine needs the same one (RAY_AUTH_TOKEN)."
+            ) from error
 
 
 def _check_answers(address: str) -> None:

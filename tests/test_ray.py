@@ -65,8 +65,9 @@ def test_a_wrong_address_is_said_within_seconds(tmp_path):
 
 
 @pytest.fixture
-def head(tmp_path):
+def head(monkeypatch):
     """A function that starts a head node with so many CPUs and returns its address; all ends with the test."""
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # for whoever joins, too
     ray = [sys.executable, "-m", "ray.scripts.scripts"]
     started = []
 
@@ -187,13 +188,12 @@ def test_an_unfit_cluster_is_refused_with_its_reason(tmp_path, head, wrong):
     other = tmp_path / "site" / "mujoco-0.0.1.dist-info"
     other.mkdir(parents=True)
     (other / "METADATA").write_text("Metadata-Version: 2.1\nName: mujoco\nVersion: 0.0.1\n")
-    if wrong == "no Ray":
-        listener = socket.create_server(("127.0.0.1", 0))  # accepts and says nothing
-        address = f"127.0.0.1:{listener.getsockname()[1]}"
-    else:
-        site = {"PYTHONPATH": str(tmp_path / "site")} if wrong == "another version" else {}
-        _, address = head(1 if wrong == "too few CPUs" else 2, **site)
-    done = process("train", *tiny(tmp_path / "run", *RAY, f"collector.address={address}"))
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # accepts and says nothing
+        address = f"127.0.0.1:{silent.getsockname()[1]}"
+        if wrong != "no Ray":
+            site = {"PYTHONPATH": str(tmp_path / "site")} if wrong == "another version" else {}
+            _, address = head(1 if wrong == "too few CPUs" else 2, **site)
+        done = process("train", *tiny(tmp_path / "run", *RAY, f"collector.address={address}"))
     assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
     said = {
         "too few CPUs": "room for 1",
