@@ -95,6 +95,7 @@ def head(monkeypatch):
     yield start
     for node in started:
         kill_session(node.pid)
+        node.wait()
 
 
 def kill_session(leader):
