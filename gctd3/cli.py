@@ -7,6 +7,7 @@ import functools
 import os
 import re
 import sys
+import warnings
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
@@ -42,6 +43,8 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
         print(help_of(command_of(config)))
         return
     sys.argv[1:] = map(_robot_file, sys.argv[1:])
+    # A launcher's plug-in has settings of the same name as ours in conf/, on purpose.
+    warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/", category=UserWarning)
     # Hydra would print and exit; this way its errors come here, to be said in the library's words.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
@@ -59,6 +62,11 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
         if GlobalHydra.instance().is_initialized():
             raise
         fail(f"The arguments cannot be combined: {error or type(error).__name__}")
+    except RuntimeError as error:
+        plugin = re.search(r"Unknown plugin class : 'hydra_plugins\.hydra_(\w+)_launcher", str(error))
+        if plugin is None:
+            raise
+        fail(f"hydra/launcher={plugin[1]} needs its package: pip install 'gctd3[{plugin[1]}]'.")
 
 
 def _robot_file(argument: str) -> str:

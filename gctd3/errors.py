@@ -42,6 +42,10 @@ class ReadingError(GCTD3Error, ValueError):
         self.command = dict(command)
 
 
+class WorkerError(GCTD3Error, RuntimeError):
+    """Workers that collect cannot be started, or do not last."""
+
+
 class RenderError(GCTD3Error, RuntimeError):
     """Nothing can be drawn here."""
 

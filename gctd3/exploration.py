@@ -177,9 +177,13 @@ class Explorer(TensorDictModuleBase):
     Args:
         actor: The policy under training.
         robot: The robot.
-        num_robots: Robots.
+        num_robots: Robots, over all of which the noise is spread.
         settings: Warm-up and noise.
         control_dt: Control period (s).
+        part: Which of them this one moves, all by default; others move the rest at the same pace.
+
+    Attributes:
+        frames: Control steps of all robots so far.
     """
 
     frames: Tensor
@@ -195,8 +199,11 @@ class Explorer(TensorDictModuleBase):
         num_robots: int,
         settings: ExplorationSettings,
         control_dt: float = 0.02,
+        part: slice = slice(None),
     ) -> None:
         super().__init__()
+        self.num_robots = num_robots
+        robots = len(range(num_robots)[part])
         self.in_keys = [*actor.in_keys, "is_init", *(["position"] if settings.heirs else [])]
         self.out_keys = ["action"]
         self.actor = actor
@@ -208,16 +215,17 @@ class Explorer(TensorDictModuleBase):
                 f"exploration.warmup must be uniform, got rhythmic: {robot.model.nu - len(robot.actuated)} of the "
                 f"{robot.model.nu} actions move no joint, and only joints have a mirror image."
             )
-        self.rhythm = Rhythm(robot, num_robots, settings.frequency, control_dt, settings.heirs) if rhythmic else None
+        self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, settings.heirs) if rhythmic else None
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
-        self.register_buffer("held", torch.zeros(num_robots, robot.model.nu))
+        self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
-        self.register_buffer("sigma", torch.logspace(math.log10(low), math.log10(high), num_robots)[:, None])
+        spread = torch.logspace(math.log10(low), math.log10(high), num_robots)
+        self.register_buffer("sigma", spread[part, None])
         memory = torch.zeros(num_robots, 1)
         if settings.noise_time > 0:
             memory[1::2] = math.exp(-control_dt / settings.noise_time)
-        self.register_buffer("memory", memory)
-        self.register_buffer("wander", torch.zeros(num_robots, robot.model.nu))
+        self.register_buffer("memory", memory[part])
+        self.register_buffer("wander", torch.zeros(robots, robot.model.nu))
 
     @property
     def warming_up(self) -> bool:
@@ -226,7 +234,6 @@ class Explorer(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the next action of every robot."""
-        robots = len(self.held)
         if self.warming_up:
             tensordict.set("action", self._warmup(tensordict))
         else:
@@ -238,7 +245,7 @@ class Explorer(TensorDictModuleBase):
                 action = tensordict.get("action")
                 noise = self.sigma * self._noise(tensordict.get("is_init").reshape(-1, 1))
                 tensordict.set("action", (action + noise).clamp(-1.0, 1.0))
-        self.frames += robots
+        self.frames += self.num_robots
         return tensordict
 
     def _noise(self, is_init: Tensor) -> Tensor:
@@ -251,6 +258,6 @@ class Explorer(TensorDictModuleBase):
         if self.rhythm is not None:
             position = tensordict.get("position").reshape(-1) if self.settings.heirs else None
             return self.rhythm(tensordict.get("is_init").reshape(-1), position)
-        if (int(self.frames) // len(self.held)) % self.settings.hold == 0:
+        if (int(self.frames) // self.num_robots) % self.settings.hold == 0:
             self.held.uniform_(-1.0, 1.0)
         return self.held.clone()

@@ -27,6 +27,7 @@ HARMLESS = (
     "video",
     "total_frames",
     "total_episodes",
+    "time_limit",
     "threads",
     "env.threads",
     "env.check",
@@ -34,6 +35,12 @@ HARMLESS = (
     "keep_checkpoints",
     "checkpoint_every",
     "stop_when",
+    "collector.workers",
+    "collector.cpus",
+    "collector.patience",
+    "collector.start_within",
+    "collector.failures",
+    "collector.address",
     "resume",
 )
 

@@ -79,7 +79,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
             )
         trainer.run(stop)
         print(_summary(trainer.best, run))
-        if stop:
+        if not trainer.finished:
             print(f"Continue it:  python -m gctd3.train resume={run}")
     if stop.file is not None:
         print(f"{run}: {'stopped' if stop else 'done'}. {_said(trainer.best)}", flush=True)

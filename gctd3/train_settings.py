@@ -10,6 +10,7 @@ from typing import Literal
 import torch
 
 from gctd3.algorithms.base import AlgorithmSettings, Architecture
+from gctd3.collector import InlineSettings, ProcessSettings
 from gctd3.device import check_device, check_index
 from gctd3.envs.factory import MOST_THREADS, EnvSettings
 from gctd3.envs.gait import FEATURES, WalkingTask
@@ -154,9 +155,11 @@ class TrainSettings:
         replay: What it remembers.
         evaluation: How it is judged.
         stop_when: What it has to show.
+        collector: Where the robots are stepped.
         seed: Of networks, exploration, replay and starts.
         total_frames: Frames to collect, all robots together.
         total_episodes: Episodes after which to end, counted as they end; ``None`` for any number.
+        time_limit: Minutes after which this session of the run ends with a checkpoint, to be continued; ``None``: none.
         steps: Control steps of every robot between updates.
         updates: Updates after those.
         device: That networks and replay live on, ``cpu``, ``cuda`` or ``cuda:0`` and so on; robots are on the CPU.
@@ -177,9 +180,11 @@ class TrainSettings:
     replay: ReplaySettings
     evaluation: EvaluationSettings
     stop_when: StopWhen
+    collector: InlineSettings | ProcessSettings = field(default_factory=InlineSettings)
     seed: int = 0
     total_frames: int = 600_000
     total_episodes: int | None = None
+    time_limit: float | None = None
     steps: int = 1
     updates: int = 4
     device: str = "cpu"
@@ -195,6 +200,8 @@ class TrainSettings:
         check_between(self, 1, 100_000, "steps")
         if self.total_episodes is not None and self.total_episodes < 1:
             raise ConfigError(f"total_episodes must be at least 1, or null, got {self.total_episodes}.")
+        if self.time_limit is not None and not self.time_limit > 0:
+            raise ConfigError(f"time_limit must be above 0 minutes, or null, got {self.time_limit}.")
         if not self.checkpoint_every > 0:
             raise ConfigError(f"checkpoint_every must be above 0 s, got {self.checkpoint_every}.")
         check_seed("seed", self.seed)
@@ -218,12 +225,27 @@ class TrainSettings:
                 "env.observation must be nodes for a network that knows the robot's graph, got flat: use network=mlp."
             )
 
+    @property
+    def batch_steps(self) -> int:
+        """Control steps of every robot that are collected at once."""
+        return self.steps * self.collector.chunk
+
+    @property
+    def batch_frames(self) -> int:
+        """Those of all robots together."""
+        return self.env.num_envs * self.batch_steps
+
+    @property
+    def batch_updates(self) -> int:
+        """Updates after those."""
+        return self.updates * self.collector.chunk
+
     def _check_frames(self) -> None:
         """What the numbers of frames ask of one another."""
-        frames = self.env.num_envs * self.steps
-        if self.total_frames < frames:
+        if self.total_frames < self.batch_frames:
+            product = "env.num_envs * steps" + (" * collector.chunk" if self.collector.chunk > 1 else "")
             raise ConfigError(
-                f"total_frames must be at least env.num_envs * steps = {frames}, got {self.total_frames}."
+                f"total_frames must be at least {product} = {self.batch_frames}, got {self.total_frames}."
             )
         if self.exploration.warmup_frames > self.total_frames:
             raise ConfigError(
@@ -252,6 +274,7 @@ class TrainSettings:
             ConfigError: If a setting does not fit it.
         """
         check_index(self.device)
+        self.collector.check_here(self.env.num_envs)
         robot, env, exploration = self.load_robot(), self.env, self.exploration
         if isinstance(env, EnvSettings):
             WalkingTask(robot, self.reward, env.endings, env.control_dt)

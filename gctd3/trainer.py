@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,11 @@ from tqdm import tqdm
 
 from gctd3.algorithms.base import Algorithm
 from gctd3.checkpoint import STATE, Checkpoints, fit
-from gctd3.collector import InlineCollector
+from gctd3.collectors import build_collector
+from gctd3.counters import Counters
 from gctd3.device import pick_device
 from gctd3.envs.factory import EnvSettings, build_env
-from gctd3.errors import NumericalError
+from gctd3.errors import NumericalError, WorkerError
 from gctd3.evaluation import evaluate
 from gctd3.exploration import Explorer
 from gctd3.faults import check_collected, check_losses
@@ -35,33 +37,6 @@ from gctd3.train_settings import TrainSettings
 
 MOST_TIME = 0.03  # share of the wall-clock that checkpoints may take
 POST_MORTEM = "post_mortem"
-
-
-@dataclass
-class Counters:
-    """Where a training is.
-
-    Attributes:
-        frames: Control steps of single robots so far.
-        updates: Of the networks.
-        episodes: Episodes that ended.
-        diverged: Episodes that ended because the simulation did not stay finite.
-        in_a_row: Evaluations in a row that met all conditions.
-        restarts: Times that it began again.
-        promising: Frames at which it began (again), or at which an evaluation last met all conditions.
-        next_evaluation: Frames at which the next one is due.
-        wall_s: Seconds spent, before and after every resumption together.
-    """
-
-    frames: int = 0
-    updates: int = 0
-    episodes: int = 0
-    diverged: int = 0
-    in_a_row: int = 0
-    restarts: int = 0
-    promising: int = 0
-    next_evaluation: int = 0
-    wall_s: float = 0.0
 
 
 class Trainer:
@@ -90,8 +65,7 @@ class Trainer:
         env = settings.env
         mirror = Mirror(self.robot, env.history) if settings.replay.mirror else None
         self.replay = Replay(settings.replay, settings.algo.gamma, env.history, mirror, self.device)
-        training_env = build_env(self.robot, env, settings.reward, settings.seed)
-        self.collector = InlineCollector(training_env, self.explorer, settings.steps)
+        self.collector = build_collector(settings, self.robot, self.explorer)
         threads = env.threads if isinstance(env, EnvSettings) else None
         judged = env.judging(settings.evaluation.episodes, threads)
         self.evaluation_env = build_env(self.robot, judged, settings.evaluation.reward, settings.evaluation.seed)
@@ -124,11 +98,11 @@ class Trainer:
     @property
     def _spent(self) -> bool:
         settings, now = self.settings, self.counters
-        batch = settings.env.num_envs * settings.steps
-        return now.frames + batch > settings.total_frames or now.episodes >= (settings.total_episodes or math.inf)
+        over = now.frames + settings.batch_frames > settings.total_frames
+        return over or now.episodes >= (settings.total_episodes or math.inf)
 
     def run(self, stop: StopRequest | None = None) -> dict[str, float] | None:
-        """Train until it is finished or ``stop`` is set.
+        """Train until it is finished, ``stop`` is set or ``time_limit`` is over.
 
         Returns:
             The metrics of the best evaluation; ``None`` if there was none.
@@ -136,14 +110,23 @@ class Trainer:
         Raises:
             NumericalError: If an observation, action, reward or loss is not finite.
             RunError: If a checkpoint cannot be written.
+            WorkerError: If workers that collect do not last; a checkpoint is written before.
         """
-        self._clock = time.monotonic()
+        self._clock = began = time.monotonic()
+        limit = math.inf if self.settings.time_limit is None else 60.0 * self.settings.time_limit
         shown = {"unit": " steps", "unit_scale": True, "smoothing": 0.05, "mininterval": 0.5, "dynamic_ncols": True}
-        with tqdm(total=self.settings.total_frames, initial=self.counters.frames, **shown) as bar:
-            while not self.finished and not stop:
-                self._iterate(bar)
-                if self._wall() >= self._next_save:
-                    self.save()
+        with (
+            contextlib.closing(self.collector),
+            tqdm(total=self.settings.total_frames, initial=self.counters.frames, **shown) as bar,
+        ):
+            try:
+                while not self.finished and not stop and time.monotonic() - began < limit:
+                    self._iterate(bar)
+                    if self._wall() >= self._next_save:
+                        self.save()
+            except WorkerError as error:
+                self.save()
+                raise WorkerError(f"{error}. Continue it:  python -m gctd3.train resume={self.directory}") from error
             self.save()
         return self.best
 
@@ -162,10 +145,10 @@ class Trainer:
         self.replay.extend(collected)
         metrics: dict[str, Tensor] = {}
         if not self.explorer.warming_up and self.replay.ready:
-            for _ in range(settings.updates):
+            for _ in range(settings.batch_updates):
                 seen["batch"] = self.replay.sample()
                 metrics = self.algorithm.update(seen["batch"])
-            now.updates += settings.updates
+            now.updates += settings.batch_updates
             check_losses(metrics)
         now.frames += collected.numel()
         now.episodes += int(collected["next", "done"].sum())
@@ -191,7 +174,7 @@ class Trainer:
             "It begins again with new weights; the best policy is kept."
         )
         self.algorithm, self.explorer = self._new_learner()
-        self.collector.policy = self.explorer
+        self.collector.follow(self.explorer)
         self.replay.clear()
         now.restarts, now.promising = now.restarts + 1, now.frames
         now.next_evaluation = now.frames + self._first_evaluation

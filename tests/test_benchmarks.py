@@ -19,6 +19,7 @@ BENCHED = [
     "inference_latency",
     "learner_throughput",
     "peers",
+    "scale_out",
     "scaling",
     "ship_policy",
     "time_to_gait",

@@ -122,6 +122,9 @@ def test_a_command_of_readme_runs(line, place, monkeypatch, capfd):
     name, arguments = words[called].removeprefix("gctd3").lstrip("."), words[called + 1 :]
     for package in NEEDS.get(name, []):
         pytest.importorskip(package)
+    launcher = next((word.partition("=")[2] for word in words if word.startswith("hydra/launcher=")), "")
+    if launcher in ("ray", "submitit"):
+        pytest.skip("tests/test_launchers.py runs it, slowly")
     resumed = any(word.startswith("resume=") for word in arguments)
     arguments += [] if resumed else SMALL.get(name, [])
     if name == "view":

@@ -27,7 +27,7 @@ STAGES = [
     "objectives.stacked objectives.td3 objectives.sac objectives",
     "algorithms.base algorithms.td3 algorithms.ddpg algorithms.sac algorithms",
     "exploration",
-    "faults collector",
+    "threads faults collector ray_cluster",
     "device",
     "frame_buffer replay",
     "gait_metrics gait_effort",
@@ -42,7 +42,8 @@ STAGES = [
     "picture graph_picture",
     "render panel view",
     "describe export",
-    "interrupt sweep random_state run_log",
+    "interrupt sweep random_state counters run_log",
+    "worker process_worker ray_worker workers collectors",
     "trainer",
     "train",
     "reporting.runs reporting.groups reporting.statistics reporting.verdict reporting.figures reporting.tables "

@@ -78,8 +78,8 @@ class BatchedEnv(EnvBase):
 
 
 def _column(values: np.ndarray) -> torch.Tensor:
-    # NumPy's indexing is several times quicker than PyTorch's.
-    return torch.from_numpy(values[:, None])
+    # NumPy's is several times quicker than PyTorch's. By indexing the stride would be 0, on which torch.stack dies.
+    return torch.from_numpy(values.reshape(-1, 1))
 
 
 def _done(terminated: np.ndarray, truncated: np.ndarray) -> dict[str, torch.Tensor]:
