@@ -5,6 +5,7 @@ import csv
 import importlib
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -74,3 +75,10 @@ def train(directory, *overrides, without=()):
 def rows(run, drop=()):
     with (run / "progress.csv").open(encoding="utf-8") as file:
         return [{k: v for k, v in row.items() if k not in drop} for row in csv.DictReader(file)]
+
+
+def wait_for(condition, seconds=120):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "nothing happened"
+        time.sleep(0.02)

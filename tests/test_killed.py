@@ -11,7 +11,7 @@ import time
 import pytest
 import torch
 from resuming import TIMED, assert_same_run
-from running import command, process, rows, tiny, train
+from running import command, process, rows, tiny, train, wait_for
 
 from gctd3.checkpoint import Checkpoints, load_policy
 
@@ -20,13 +20,6 @@ def start(run, *overrides):
     arguments = [*tiny(run, *overrides)] if not run.exists() else [f"resume={run}"]
     module = [sys.executable, "-m", "gctd3.train", *arguments]
     return subprocess.Popen(module, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def wait_for(condition, seconds=120):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "nothing happened"
-        time.sleep(0.02)
 
 
 LONG = ["total_frames=4000", "evaluation.every=400", "checkpoint_every=0.2"]

@@ -12,8 +12,8 @@ import pytest
 from hydra import compose, initialize_config_module
 from hydra.errors import MissingConfigException
 from omegaconf import OmegaConf
-from running import TINY, Recorded, command, rows, train
-from test_resume import assert_same_run, wait_for
+from resuming import assert_same_run
+from running import TINY, Recorded, command, rows, train, wait_for
 
 from gctd3 import sweep
 from gctd3.cli import explain
