@@ -143,6 +143,8 @@ def test_an_unknown_name_lists_those_there_are():
 
 @pytest.mark.parametrize("name", [name for name, _ in modules()])
 def test_names_of_a_modules_all_exist(name):
+    if name == "ray_worker":
+        pytest.importorskip("ray")
     module = importlib.import_module(f"gctd3.{name}")
     for public in getattr(module, "__all__", ()):
         assert hasattr(module, public)
