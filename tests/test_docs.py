@@ -64,9 +64,10 @@ SMALL = {
         "tasks=halfcheetah",
         "algos=td3",
         "seeds=0",
-        "steps=400",
-        "random_steps=200",
-        "every=200",
+        "steps=300",
+        "random_steps=250",
+        "every=300",
+        "episodes=1",
     ],
 }
 # What is said in place of something long.
