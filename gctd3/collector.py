@@ -116,7 +116,8 @@ class InlineCollector:
         self.policy = policy
 
     def close(self) -> None:
-        """Nothing is to be ended."""
+        """End the environment."""
+        self.env.close(raise_if_closed=False)
 
     def state_dict(self) -> dict[str, Any]:
         """Where the robots are and what the policy is about to see."""
