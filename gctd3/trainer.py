@@ -55,7 +55,8 @@ class Trainer:
         self.settings, self.directory = settings, directory
         # Its notices of every storage and transform would break into the progress bar.
         torchrl_logger.setLevel(logging.WARNING)
-        self._set_threads()
+        if settings.threads is not None:
+            torch.set_num_threads(settings.threads)
         # Before the networks, so that their initial weights are the seed's.
         seed_all(settings.seed)
         self.robot = settings.load_robot()
@@ -76,10 +77,6 @@ class Trainer:
         self.best: dict[str, float] | None = None
         self._clock = time.monotonic()
         self._next_save = settings.checkpoint_every
-
-    def _set_threads(self) -> None:
-        if self.settings.threads is not None:
-            torch.set_num_threads(self.settings.threads)
 
     def _new_learner(self) -> tuple[Algorithm, Explorer]:
         settings, env = self.settings, self.settings.env
@@ -115,8 +112,6 @@ class Trainer:
             RunError: If a checkpoint cannot be written.
             WorkerError: If workers that collect do not last; a checkpoint is written before.
         """
-        # TorchRL raises the number when an environment is closed, which may be one of a training before this one.
-        self._set_threads()
         self._clock = began = time.monotonic()
         limit = math.inf if self.settings.time_limit is None else 60.0 * self.settings.time_limit
         shown = {"unit": " steps", "unit_scale": True, "smoothing": 0.05, "mininterval": 0.5, "dynamic_ncols": True}
@@ -134,7 +129,6 @@ class Trainer:
                 raise WorkerError(f"{error}. Continue it:  python -m gctd3.train resume={self.directory}") from error
             self.save()
         self.evaluation_env.close(raise_if_closed=False)
-        self._set_threads()
         return self.best
 
     def _iterate(self, bar: tqdm[Any]) -> None:

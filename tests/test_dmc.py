@@ -199,3 +199,12 @@ def test_torchrl_ends(robot):
     assert end(FALL_AT_ONCE) == [[True] * 2, [False] * 2, [True] * 2, [1] * 2]
     assert end(Endings(time_limit=2)) == [[False] * 2, [True] * 2, [True] * 2, [2] * 2]
     assert end(Endings()) == [[False] * 2, [False] * 2, [False] * 2, [2] * 2]
+
+
+def test_its_end_leaves_the_number_of_threads(monkeypatch):
+    monkeypatch.setattr("torchrl._THREAD_POOL_INIT", 4)
+    before = torch.get_num_threads()
+    env = make_env("biped", num_envs=2, backend="dm_control")
+    env.reset()
+    env.close()
+    assert torch.get_num_threads() == before < 4

@@ -11,7 +11,6 @@ from torchrl.envs import (
     DoubleToFloat,
     EnvBase,
     InitTracker,
-    SerialEnv,
     StepCounter,
     TransformedEnv,
 )
@@ -20,6 +19,7 @@ from gctd3.envs.check import CheckStep
 from gctd3.envs.gait import WalkingTask
 from gctd3.envs.library import MOST_FRAMES, MOST_ROBOTS, LibrarySettings, build_library_env
 from gctd3.envs.reward import Endings, Reward
+from gctd3.envs.serial import SerialRobots
 from gctd3.envs.simulation import Simulation, Start
 from gctd3.errors import ConfigError, check_between
 from gctd3.robot import Robot
@@ -91,7 +91,7 @@ def build_env(robot: Robot, settings: EnvSettings | LibrarySettings, reward: Rew
         def make(index: int) -> EnvBase:
             return dmc.torchrl_env(task, settings.start, seed + index)
 
-        env = SerialEnv(settings.num_envs, [lambda i=i: make(i) for i in range(settings.num_envs)])
+        env = SerialRobots(settings.num_envs, [lambda i=i: make(i) for i in range(settings.num_envs)])
         extras = [DoubleToFloat(), InitTracker(), StepCounter()]
     else:
         raise ConfigError(f"backend must be batched or dm_control, got {settings.backend!r}.")

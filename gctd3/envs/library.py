@@ -19,7 +19,6 @@ from torchrl.envs import (
     GymEnv,
     InitTracker,
     SelectTransform,
-    SerialEnv,
     StepCounter,
     Transform,
     TransformedEnv,
@@ -27,6 +26,7 @@ from torchrl.envs import (
 
 from gctd3.envs.gait import FEATURES
 from gctd3.envs.nodes import NodeSensor, sensor_of, simulator, with_nodes
+from gctd3.envs.serial import SerialRobots
 from gctd3.errors import ConfigError, check_between
 from gctd3.graph import KinematicGraph
 from gctd3.robot import Robot
@@ -170,7 +170,7 @@ def build_library_env(settings: LibrarySettings, seed: int) -> EnvBase:
         noded.set_seed(seed + index)
         return noded
 
-    env = SerialEnv(settings.num_envs, [lambda i=i: one(i) for i in range(settings.num_envs)])
+    env = SerialRobots(settings.num_envs, [lambda i=i: one(i) for i in range(settings.num_envs)])
     env.set_seed(seed)
     stack = CatFrames(N=settings.history, dim=-1, in_keys=["nodes"], padding="same")
     return TransformedEnv(env, Compose(InitTracker(), StepCounter(), stack))
