@@ -12,7 +12,6 @@ Graphs of other sizes than the biped's are random trees; the propagation matrix 
 from __future__ import annotations
 
 import importlib.util
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ from gctd3.algorithms.td3 import TD3Settings
 from gctd3.envs.factory import EnvSettings, build_env
 from gctd3.envs.reward import Reward
 from gctd3.nn import Network
+from gctd3.sweep import cores
 
 FEATURES, ACTIONS = 10, 6
 NODES, BATCH, ROBOTS = 8, 256, (64, 1024)  # where another size grows; the biped has 8 nodes
@@ -35,11 +35,6 @@ NETWORKS = {"GCN": Network(), "MLP": Network(graph_layers=())}
 FRAMES, UPDATES = 2048, 10  # steps of all robots, and updates, that are timed at once
 
 Times = dict[str, dict[int, float]]  # milliseconds by series and size
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def doublings(most: int) -> list[int]:

@@ -27,7 +27,7 @@ FPS = 25  # GIF players show 25 frames a second well, 50 badly
 # Where a robot is seen from whose MJCF names no such camera: azimuth from its forward axis, elevation (degrees).
 VIEWS = {"side": (90.0, -8.0), "three_quarter": (130.0, -18.0)}
 CLIP, CLIP_SIZE = 5.0, (320, 240)  # of a training's policies (s; pixels)
-_SHADOW = 1024  # pixels of the shadow map; with the 4096 of the shipped MJCFs software takes half as long again
+_SHADOW = 1024  # pixels of the shadow map; the shipped MJCFs' 4096 are much for a renderer in software
 MARKS = range(-3, 8)  # metres that are marked, from the last one walked
 _INK, _PAINT = (30, 30, 30), np.array([0.25, 0.27, 0.30, 1.0], np.float32)
 
