@@ -114,6 +114,29 @@ def test_a_step_of_one_optimiser_leaves_the_other_networks_alone(name):
                 assert same(before[group], params)
 
 
+def leaves(tensor):
+    """Whose gradients a backward pass from ``tensor`` computes."""
+    seen, waiting, found = set(), [tensor.grad_fn], {}
+    while waiting:
+        node = waiting.pop()
+        if node is None or node in seen:
+            continue
+        seen.add(node)
+        waiting += [following for following, _ in node.next_functions]
+        if hasattr(node, "variable"):
+            found[node.variable.data_ptr()] = node.variable
+    return found
+
+
+@every_algorithm
+def test_no_gradient_is_computed_that_nobody_reads(name):
+    algorithm = build(name)
+    losses = algorithm.loss(going_on())
+    for stepped, params in groups(algorithm).items():
+        term = {"critic": "loss_value" if name == "ddpg" else "loss_qvalue"}.get(stepped, f"loss_{stepped}")
+        assert set(leaves(losses[term])) == {p.data_ptr() for p in params.values()}, term
+
+
 @every_algorithm
 def test_optimisers_hold_every_trainable_parameter_once_and_nothing_else(name):
     algorithm = build(name)

@@ -20,7 +20,7 @@ class _StackedLinear(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:  # noqa: ANN401 - PyTorch's
         ctx.save_for_backward(x, weight)
-        return torch.baddbmm(bias.unsqueeze(-2), x.expand(len(weight), *x.shape[-2:]), weight.mT)
+        return _stacked_product(x, weight, bias)
 
     @staticmethod
     @once_differentiable
@@ -45,8 +45,14 @@ def stacked_linear(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
     """
     if bias is None:
         return x @ weight.mT
+    if not torch.is_grad_enabled():
+        return _stacked_product(x, weight, bias)
     out: Tensor = _StackedLinear.apply(x, weight, bias)  # type: ignore[no-untyped-call]
     return out
+
+
+def _stacked_product(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    return torch.baddbmm(bias.unsqueeze(-2), x.expand(len(weight), *x.shape[-2:]), weight.mT)
 
 
 class Linear(nn.Linear):

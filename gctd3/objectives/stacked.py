@@ -25,8 +25,11 @@ class Networks:
     def get(self, name: str, network: TensorDictModule, params: Callable[[], TensorDictBase]) -> TensorDictModule:
         """The copy of ``network`` that is known as ``name``, made with ``params()`` at first."""
         if name not in self._held:
-            held = copy.deepcopy(network)
-            params().to_module(held)
+            held, given = copy.deepcopy(network), params()
+            given.to_module(held)
+            if not any(value.requires_grad for value in given.values(True, True)):
+                # Or the module would make parameters of them, and a loss collect gradients that nobody reads.
+                held.requires_grad_(False)
             self._held[name] = held
         return self._held[name]
 
