@@ -4,7 +4,8 @@
 
 An update is everything a learner does for one: draw a batch, critic step, and every second time actor and targets. All
 hold the same random transitions of the biped, and networks of two layers of 256 units (GCN: the paper's). Peers that
-are not installed (``pip install 'gctd3[bench]'``) are left out and named.
+are not installed (``pip install 'gctd3[bench]'``) are left out and named. ``by_hand.py`` bounds what can be had: the
+MLP's arithmetic on one batch, with nothing around it.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from by_hand import TD3ByHand
 from common import options, rates, report
 from tensordict import TensorDict, TensorDictBase
 from torch.utils.flop_counter import FlopCounterMode
@@ -155,6 +157,7 @@ def main() -> None:
         for kind, network in NETWORKS.items():
             updates[f"ours, {kind}"] = ours(network, batch, data, graph)
             updates[f"stock TorchRL, {kind}"] = stock(network, batch, data, graph)
+        updates["by hand, MLP"] = TD3ByHand(NODES * FEATURES, ACTIONS, batch).update
         for label, package in (("Stable-Baselines3, MLP", "stable_baselines3"), ("SBX, MLP", "sbx")):
             if importlib.util.find_spec(package) is None:
                 missing.append(f"{label}: {package} is not installed")
