@@ -80,7 +80,7 @@ def ours(algo: str, task: str, recipe: Recipe) -> list[str]:
             "algo.policy_noise": recipe.policy_noise,
             "algo.noise_clip": recipe.noise_clip,
         },
-        "sac": {"algo.alpha": recipe.temperature},
+        "sac": {"algo.alpha": recipe.temperature, "algo.scale": "exp"},
         "ddpg": {},
     }
     return [f"{key}={value}" for key, value in {**common, **own[algo]}.items()]
