@@ -134,17 +134,14 @@ def test_both_warm_up_with_uniform_actions(sides, algo):
     for _ in range(300):
         trainer.replay.extend(trainer.collector.collect())
     model.learn(300)
-    ours, theirs = (
-        trainer.replay.buffer._ring["action"][:300, 0],
-        torch.from_numpy(model.replay_buffer.actions[:300, 0]),
-    )
-    for name, actions in (("ours", ours), ("theirs", theirs)):
-        if name == "theirs" and algo == "td3":
-            # Theirs adds its noise to them, and clips.
-            assert ((actions.abs() == 1.0).float().mean() > 0.1) == (NOISE > 0.5)
-            continue
-        assert stats.kstest(actions.flatten().numpy(), stats.uniform(-1, 2).cdf).pvalue > 0.01, name
-        assert not (actions[1:] == actions[:-1]).any(), name
+    drawn = {"ours": trainer.replay.buffer._ring["action"][:300, 0].numpy()}
+    drawn["theirs"] = model.replay_buffer.actions[:300, 0]
+    if algo == "td3":
+        # Theirs adds the noise to them, and clips.
+        assert (np.abs(drawn.pop("theirs")) == 1.0).mean() > 0.1
+    for side, actions in drawn.items():
+        assert stats.kstest(actions.flatten(), stats.uniform(-1, 2).cdf).pvalue > 0.01, side
+        assert not (actions[1:] == actions[:-1]).any(), side
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -71,7 +71,7 @@ class Actor(nn.Module):
 
 
 class ClippedExp(nn.Module):
-    """A network's output ``[*, 2 * A]`` to mean and standard deviation ``[*, A]``, the second ``exp`` of a clipped half."""
+    """A network's output ``[*, 2 * A]`` to mean and standard deviation, each ``[*, A]``, as SAC's authors do."""
 
     def forward(self, out: Tensor) -> tuple[Tensor, Tensor]:
         """Split ``out`` and clip."""
