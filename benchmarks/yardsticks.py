@@ -7,8 +7,8 @@ Trains an MLP on Gymnasium's own observation with the values of ``benchmarks/yar
 ``python -m gctd3.train env=... env.observation=flat``, theirs a model of Stable-Baselines3's. Both are judged every
 ``every`` steps over ``episodes`` episodes by :func:`gctd3.evaluation.evaluate`, from the same starts. Trainings run one
 after another, seed by seed. Each is written to ``out`` as soon as it is over; those that ``out`` holds are not made
-again, so that the same command goes on after it was stopped. On two cores, start it once for each of the ``tasks``, with
-an ``out`` of its own.
+again, so that the same command goes on after it was stopped. On two cores: one command for each task, each with its own
+``out``.
 """
 
 from __future__ import annotations
