@@ -159,10 +159,10 @@ def explain(error: Exception, config: str) -> str:
     return f"Unknown key {key!r}.{suggest(key, keys)}{accepted}"
 
 
-def _chooses(argument: str) -> bool:
-    """Whether it is about a group. To compose takes long, and other arguments add no keys."""
+def chooses(argument: str) -> str | None:
+    """The group of which an argument chooses an option, if it is about one; other arguments add no keys."""
     group = re.split("[=@]", argument.lstrip("+~"), maxsplit=1)[0]
-    return group.isidentifier() and resources.files(CONF).joinpath(group).is_dir()
+    return group if group.isidentifier() and resources.files(CONF).joinpath(group).is_dir() else None
 
 
 def _known_keys(config: str, arguments: list[str]) -> list[str]:
@@ -171,7 +171,7 @@ def _known_keys(config: str, arguments: list[str]) -> list[str]:
     with initialize_config_module(CONF, version_base="1.3"):
         composed = compose(config)
         sound: list[str] = []
-        for argument in filter(_chooses, arguments):
+        for argument in filter(chooses, arguments):  # to compose takes long
             with contextlib.suppress(*_USER_ERRORS):
                 composed = compose(config, [*sound, argument])
                 sound.append(argument)

@@ -65,13 +65,15 @@ class RaySettings(ProcessSettings):
         if self.address is not None and self.address != "auto":
             _check_answers(self.address)
         # In a thread: Ray tries for minutes to talk to what is no cluster, and in the main one would take over SIGTERM.
+        # The thread stays, for a cluster that is started here ends with it.
         joined = in_thread(
             lambda: ray.init(
                 address=self.address or "local",
                 include_dashboard=False if self.address is None else None,
                 logging_level="error",
                 log_to_driver=False,
-            )
+            ),
+            stays=True,
         )
         try:
             joined.result(None if self.address is None else JOIN)

@@ -13,6 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 import gctd3
+from gctd3.cli import chooses
 from gctd3.errors import ConfigError, RunError
 from gctd3.files import write_text
 from gctd3.settings import build
@@ -107,14 +108,10 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
     Raises:
         RunError: If they would change what the run is; the message lists the differences.
     """
-    config = load_config(run)
-    try:
-        first = [str(item) for item in OmegaConf.load(run / OVERRIDES)]
-    except (OSError, YAMLError, OmegaConfBaseException, UnicodeDecodeError, TypeError) as error:
-        raise _unusable(run / OVERRIDES, error) from error
-    new = [
-        item for item in overrides if item.split("=", 1)[0] not in ("resume", "hydra.run.dir", "hydra.output_subdir")
-    ]
+    config, first = load_config(run), _first(run)
+    own = ("resume", "hydra.run.dir", "hydra.output_subdir")
+    # The run's own choices are said again so that Hydra knows their keys; twice they would be too many.
+    new = [item for item in overrides if item.split("=", 1)[0] not in own and item not in first]
     if not new:
         return config, first
     before, after = flat(compose(root, first)), flat(compose(root, [*first, *new]))
@@ -129,6 +126,26 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
     for key, value in difference.items():
         OmegaConf.update(config, key, value, force_add=True)
     return config, [*first, *new]
+
+
+def choices(run: Path, arguments: Sequence[str]) -> list[str]:
+    """The options that a run's command line chose of groups that ``arguments`` leave alone.
+
+    Their keys are known to Hydra only with them: ``collector.workers`` is there with ``collector=process``.
+
+    Raises:
+        RunError: If the run does not say.
+    """
+    chosen = {chooses(argument) for argument in arguments}
+    return [item for item in _first(run) if chooses(item) not in {*chosen, None}]
+
+
+def _first(run: Path) -> list[str]:
+    """The command line that a run came from."""
+    try:
+        return [str(item) for item in OmegaConf.load(run / OVERRIDES)]
+    except (OSError, YAMLError, OmegaConfBaseException, UnicodeDecodeError, TypeError) as error:
+        raise _unusable(run / OVERRIDES, error) from error
 
 
 def _harmless(key: str) -> bool:

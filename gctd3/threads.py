@@ -10,8 +10,14 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-def in_thread(function: Callable[[], T]) -> Future[T]:
-    """The result to come of a function that runs in a thread, which does not keep the program from ending."""
+def in_thread(function: Callable[[], T], stays: bool = False) -> Future[T]:
+    """The result to come of a function that runs in a thread, which does not keep the program from ending.
+
+    Args:
+        function: Takes nothing.
+        stays: Whether the thread remains when the function has returned. Processes that ask Linux to be told of their
+            parent's death (``PR_SET_PDEATHSIG``) end with the thread that began them.
+    """
     future: Future[T] = Future()
 
     def run() -> None:
@@ -19,6 +25,9 @@ def in_thread(function: Callable[[], T]) -> Future[T]:
             future.set_result(function())
         except BaseException as error:
             future.set_exception(error)
+        else:
+            if stays:
+                threading.Event().wait()
 
     threading.Thread(target=run, daemon=True).start()
     return future

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from gctd3.cli import command
 from gctd3.errors import RunError
 from gctd3.interrupt import StopRequest, only_one
-from gctd3.run_config import CONFIG, changed, save_config
+from gctd3.run_config import CONFIG, changed, choices, save_config
 from gctd3.settings import build
 from gctd3.sweep import share_cores, stop_file
 
@@ -129,6 +129,10 @@ def main() -> None:
     if resumed and resumed[-1] not in ("null", ""):
         # Hydra's own directory is the run's, so that nothing is written elsewhere; nor made if there is no run.
         there = (Path(resumed[-1]) / CONFIG).is_file()
+        if there:
+            # A damaged file is told of once Hydra runs.
+            with contextlib.suppress(RunError):
+                sys.argv[1:1] = choices(Path(resumed[-1]), sys.argv[1:])
         sys.argv.append(f"hydra.run.dir='{resumed[-1] if there else '.'}'")
     command("config", train)
 

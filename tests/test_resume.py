@@ -5,10 +5,12 @@ import shutil
 
 import pytest
 import torch
+from hydra import compose, initialize_config_module
 from resuming import TIMED, StopAfter, assert_same_run, stopped
 from running import TINY, Recorded, command, rows, train
 
 from gctd3.checkpoint import Checkpoints
+from gctd3.run_config import save_config
 
 CASES = [(algo, backend, "frames") for algo in ("gctd3", "td3", "ddpg", "sac") for backend in ("batched", "dm_control")]
 
@@ -71,6 +73,16 @@ def test_other_settings_are_refused_by_name_and_harmless_ones_taken(tmp_path, ca
     assert command("train", f"resume={run}", "logger=csv", "total_frames=160") == 0
     assert [row["frames"] for row in rows(run)] == ["80", "160"]
     assert (run / "csv").is_dir()
+
+
+def test_keys_of_the_options_that_the_run_chose_are_known(tmp_path, capsys):
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        save_config(tmp_path, compose("config", ["collector=process"]), ["collector=process"])
+    assert command("train", f"resume={tmp_path}", "collector.workers=1", "seed=7") == 2
+    error = capsys.readouterr().err
+    assert "seed: 0 -> 7" in error and "collector.workers:" not in error
+    assert command("train", f"resume={tmp_path}", "collector=inline", "collector.workers=1") == 2
+    assert "Unknown key 'collector.workers'" in capsys.readouterr().err
 
 
 def test_the_csv_logger_goes_back_to_the_checkpoint(tmp_path):
