@@ -24,7 +24,7 @@ class Recipe:
     SAC's deviation as its authors make it (``algo.scale=exp``).
 
     With the same weights, transitions and draws both sides make the same updates (``tests/test_yardstick_updates.py``);
-    with the same starts and draws both keep the same transitions and get the same returns
+    with the same starts and draws both keep the same transitions, get the same returns and train the same weights
     (``tests/test_yardstick_data.py``). What is left: theirs adds TD3's and DDPG's noise to the uniform actions too,
     updates first one step later, may draw the newest transition, and adds 1e-6 to what it takes SAC's logarithm of.
 

@@ -1,4 +1,4 @@
-"""What our trainings and Stable-Baselines3's learn from and are judged by: the same numbers from the same actions."""
+"""Our trainings and Stable-Baselines3's: the same transitions, returns and weights from the same starts and draws."""
 
 import importlib
 from dataclasses import replace
@@ -11,16 +11,17 @@ import torch
 from configs import composed
 from gymnasium.utils import seeding
 from scipy import stats
-from torch import nn
+from test_yardstick_updates import parameters
 
 from gctd3.exploration import Explorer
+from gctd3.frame_buffer import FrameBuffer
 from gctd3.settings import build
 from gctd3.trainer import Trainer
 
-TASKS = ("halfcheetah", "walker2d")
+PAIRS = [("td3", "walker2d"), ("sac", "halfcheetah")]
 LIMIT = 15  # steps of an episode, for the sake of time
 NOISE = 0.8  # so that walkers fall within that
-STEPS, SEED = 90, 3
+STEPS, BATCH, SEED = 90, 32, 3
 
 
 @pytest.fixture
@@ -35,9 +36,10 @@ def sides(recipe, tmp_path):
     """Makes our training and their model as the recipe does, with short episodes, the same starts and weights."""
 
     def make(algo, task, random_steps=0):
-        values = {"batch_size": 32, "capacity": 5000, "action_noise": NOISE, "random_steps": random_steps}
+        values = {"batch_size": BATCH, "capacity": 5000, "action_noise": NOISE, "random_steps": random_steps}
         values = recipe.Recipe(hidden=(16, 16), **values)
-        settings = build(composed(*recipe.ours(algo, task, values), "evaluation.episodes=2", "evaluation.every=100"))
+        long = f"total_frames={max(STEPS, random_steps)}"
+        settings = build(composed(*recipe.ours(algo, task, values), long, "evaluation.episodes=2"))
         trainer, model = Trainer(replace(settings, logger="none"), tmp_path), recipe.theirs(algo, task, values, SEED)
         ours = trainer.collector.env
         for env in (*robots(ours), *robots(trainer.evaluation_env), *model.env.envs):
@@ -45,7 +47,8 @@ def sides(recipe, tmp_path):
         # What theirs begins its first episode with.
         robots(ours)[0].unwrapped.np_random = seeding.np_random(SEED)[0]
         trainer.collector._state = ours.reset()
-        same_policy(trainer, model)
+        for mine, theirs, join in parameters(trainer.algorithm, model).values():
+            mine.data.copy_(join([parameter.data for parameter in theirs]))
         return trainer, model
 
     return make
@@ -63,42 +66,48 @@ def shorten(env):
     env._max_episode_steps = LIMIT
 
 
-def same_policy(trainer, model):
-    """Copy the weights of their actor into ours."""
-    layers = [module for module in model.actor.modules() if isinstance(module, nn.Linear)]
-    mine = [module for module in trainer.algorithm.actor.modules() if isinstance(module, nn.Linear)]
-    # Mean and deviation are two layers of theirs, one of ours.
-    layers = [*([layer] for layer in layers[:2]), layers[2:]]
-    with torch.no_grad():
-        for layer, others in zip(mine, layers, strict=True):
-            for name, parameter in layer.named_parameters():
-                parameter.copy_(torch.cat([getattr(other, name) for other in others]))
+def draw(monkeypatch, algo, first):
+    """Give both sides the same draws, each from their beginning when this is called.
 
-
-def draw(monkeypatch, algo):
-    """Give both sides the same draws, each from their beginning when this is called."""
-    noise = np.random.default_rng(1).standard_normal((STEPS, 1, 6)).astype(np.float32)
-    ours, theirs, both = iter(noise), iter(noise[:, 0]), iter(noise)
+    Args:
+        monkeypatch: Pytest's.
+        algo: The algorithm.
+        first: Of the two draws of one of SAC's updates, the one that this side makes first: 0 for the actions where the
+            batch is, 1 for those after.
+    """
+    generator = np.random.default_rng(1)
+    noise = generator.standard_normal((STEPS, 6)).astype(np.float32)
+    within = generator.standard_normal((STEPS, 2, BATCH, 6)).astype(np.float32)
+    acting, ours, theirs = iter(noise), iter(noise), iter(noise)
+    updating = iter([both[i] for both in within for i in (first, 1 - first)])
     if algo == "sac":
-        drawn = lambda *_, **__: torch.from_numpy(next(both))  # noqa: E731
+        drawn = lambda shape, *_, **__: torch.from_numpy(next(acting)[None] if shape[0] == 1 else next(updating))  # noqa: E731
         monkeypatch.setattr("torch.distributions.normal._standard_normal", drawn)
-    else:
-        monkeypatch.setattr(Explorer, "_noise", lambda *_: torch.from_numpy(next(ours)))
-        monkeypatch.setattr(np.random, "normal", lambda mean, sigma: mean + sigma * next(theirs))
+    monkeypatch.setattr(Explorer, "_noise", lambda *_: torch.from_numpy(next(ours)[None]))
+    monkeypatch.setattr(np.random, "normal", lambda mean, sigma: mean + sigma * next(theirs))
+    torch.manual_seed(2)  # of the noise on target actions
+
+    # Which transitions a batch has, of all but the newest, which ours does not draw; both have one robot.
+    shares = iter(generator.random((STEPS, BATCH)))
+
+    def picked(below, size):
+        return np.zeros(size, dtype=np.int64) if below == 1 else (next(shares) * below).astype(np.int64)
+
+    monkeypatch.setattr(FrameBuffer, "_draw", lambda _, below: torch.from_numpy(picked(below, BATCH)))
+    monkeypatch.setattr(np.random, "randint", lambda _, high, size: picked(max(high - 1, 1), size))
 
 
 def collect(trainer, model, monkeypatch, algo):
     """Let both act for some steps, without an update."""
     monkeypatch.setattr(model, "train", lambda **_: None)
-    draw(monkeypatch, algo)
+    draw(monkeypatch, algo, first=1)
     for _ in range(STEPS):
         trainer.replay.extend(trainer.collector.collect())
-    draw(monkeypatch, algo)
+    draw(monkeypatch, algo, first=0)
     model.learn(STEPS)
 
 
-@pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("algo", ["td3", "sac"])
+@pytest.mark.parametrize(("algo", "task"), PAIRS)
 def test_batches_hold_the_same_transitions(sides, algo, task, monkeypatch):
     trainer, model = sides(algo, task)
     collect(trainer, model, monkeypatch, algo)
@@ -128,14 +137,35 @@ def test_batches_hold_the_same_transitions(sides, algo, task, monkeypatch):
     assert theirs.actions.abs().max() <= 1.0 and theirs.discounts is None
 
 
+@pytest.mark.parametrize("algo", ["td3", "sac", "ddpg"])
+def test_trainings_go_the_same_way(sides, algo, monkeypatch):
+    """The whole of both, each with its own loop: acting, keeping, drawing and updating in the same order."""
+    trainer, model = sides(algo, "halfcheetah")
+    before = {name: mine.detach().clone() for name, (mine, *_) in parameters(trainer.algorithm, model).items()}
+    draw(monkeypatch, algo, first=1)
+    trainer.run()
+    draw(monkeypatch, algo, first=0)
+    # Ours begins to update when there is a batch, theirs when it is told to; then it would act by the policy, too.
+    model.learning_starts, act = BATCH, model._sample_action
+    monkeypatch.setattr(model, "_sample_action", lambda _, *rest: act(0, *rest))
+    if algo == "sac":
+        model.actor.action_dist.epsilon = 0.0
+    model.learn(STEPS)
+    assert trainer.algorithm.updates == model._n_updates == STEPS - BATCH
+    for name, (mine, theirs, join) in parameters(trainer.algorithm, model).items():
+        mine, theirs = mine.detach(), join(theirs).detach()
+        moved, apart = (mine - before[name]).norm(), (mine - theirs).norm()
+        assert apart < 0.01 * moved, name
+
+
 @pytest.mark.parametrize("algo", ["td3", "sac"])
 def test_both_warm_up_with_uniform_actions(sides, algo):
-    trainer, model = sides(algo, "halfcheetah", random_steps=300)
-    for _ in range(300):
+    trainer, model = sides(algo, "halfcheetah", random_steps=150)
+    for _ in range(150):
         trainer.replay.extend(trainer.collector.collect())
-    model.learn(300)
-    drawn = {"ours": trainer.replay.buffer._ring["action"][:300, 0].numpy()}
-    drawn["theirs"] = model.replay_buffer.actions[:300, 0]
+    model.learn(150)
+    drawn = {"ours": trainer.replay.buffer._ring["action"][:150, 0].numpy()}
+    drawn["theirs"] = model.replay_buffer.actions[:150, 0]
     if algo == "td3":
         # Theirs adds the noise to them, and clips.
         assert (np.abs(drawn.pop("theirs")) == 1.0).mean() > 0.1
@@ -144,8 +174,7 @@ def test_both_warm_up_with_uniform_actions(sides, algo):
         assert not (actions[1:] == actions[:-1]).any(), side
 
 
-@pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("algo", ["td3", "sac"])
+@pytest.mark.parametrize(("algo", "task"), PAIRS)
 def test_both_are_judged_by_the_tasks_own_returns(sides, algo, task, tmp_path):
     peers = importlib.import_module("peers")
     trainer, model = sides(algo, task)
@@ -161,7 +190,10 @@ def test_both_are_judged_by_the_tasks_own_returns(sides, algo, task, tmp_path):
         seen, reward, terminated, truncated, _ = alone.step(model.predict(seen, deterministic=True)[0])
         expected, ended = expected + reward, terminated or truncated
 
-    judge(lambda seen: torch.as_tensor(model.predict(seen.numpy(), deterministic=True)[0]), 100, 0)
+    def act(seen):
+        return torch.as_tensor(model.predict(seen.numpy(), deterministic=True)[0])
+
+    judge(act, trainer.settings.evaluation.every, 0)
     (theirs,) = importlib.import_module("gait_table").read_progress(tmp_path / "theirs" / "progress.csv")
     ours = trainer._evaluate()
     for row in (ours, theirs):
