@@ -53,6 +53,7 @@ class FrameBuffer:
         self._flat: dict[str, Tensor] = {}  # the same memory, rows and robots as one dimension
         self._last: dict[str, Tensor] = {}
         self._free: list[int] = []
+        self._back = torch.arange(history - 1, -1, -1, device=self.device)
         self.head = self.rows = self.filled = self.robots = 0
         self.total = 0  # rows ever appended
 
@@ -187,8 +188,11 @@ class FrameBuffer:
         next_frame = torch.where(ended[..., None], self._last_at("nodes", place), self._at("nodes", after))
         next_counters = torch.where(ended, self._last_at("counters", place), self._at("counters", after))
         done = terminated | truncated
+        # Both stacks at once; the later one without its oldest frame, for which the next frame comes.
+        stacks = self._stack(here if final is here else torch.cat([here, final]))
+        newest = stacks[-len(here) :, ..., next_frame.shape[-1] :]
         following_td = {
-            "nodes": torch.cat([self._stack(final, self.history - 1), next_frame], dim=-1),
+            "nodes": torch.cat([newest, next_frame], dim=-1),
             "counters": next_counters,
             "reward": reward[:, None],
             "done": done[:, None],
@@ -196,7 +200,7 @@ class FrameBuffer:
             "truncated": truncated[:, None],
         }
         batch = {
-            "nodes": self._stack(here, self.history),
+            "nodes": stacks[: len(here)],
             "counters": self._at("counters", here),
             "action": self._at("action", here),
             "next": TensorDict(following_td, [len(row)]),
@@ -213,11 +217,9 @@ class FrameBuffer:
         """The places ``rows`` after; a negative number is before."""
         return (place + rows * self.robots) % (self.rows * self.robots)
 
-    def _stack(self, place: Tensor, frames: int) -> Tensor:
-        """The ``frames`` frames up to ``place`` side by side, oldest first; before the episode's first it repeats."""
-        if not frames:
-            return self._ring["nodes"].new_zeros((len(place), *self._ring["nodes"].shape[2:-1], 0))
-        back = torch.arange(frames - 1, -1, -1, device=self.device).minimum(self._at("age", place).long()[:, None])
+    def _stack(self, place: Tensor) -> Tensor:
+        """The frames up to ``place`` side by side, oldest first; before the episode's first it repeats."""
+        back = self._back.minimum(self._at("age", place)[:, None])
         places = (place[:, None] - back * self.robots) % (self.rows * self.robots)
         stack = self._at("nodes", places.reshape(-1))
         stack = stack.reshape(*places.shape, *stack.shape[1:])

@@ -25,7 +25,7 @@ STAGES = [
     "envs.gym envs.nodes envs.library envs.check envs.factory envs.state envs",
     "nn.layers nn.graph_conv nn.encoder nn.readout nn.symmetry nn.network nn.actor nn.critic nn",
     "objectives.stacked objectives.td3 objectives.sac objectives",
-    "algorithms.base algorithms.td3 algorithms.ddpg algorithms.sac algorithms",
+    "algorithms.adam algorithms.base algorithms.td3 algorithms.ddpg algorithms.sac algorithms",
     "exploration",
     "threads faults collector ray_cluster",
     "device",

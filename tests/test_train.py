@@ -221,7 +221,7 @@ def test_the_papers_experiment_is_table_4(tmp_path):
     settings = build(config)
     # The optimiser is Adam; the episodes end the training, whatever their length.
     algorithm = settings.algo.build(settings.architecture())
-    assert all(type(optimizer) is torch.optim.Adam for optimizer in algorithm.optimizers.values())
+    assert all(isinstance(optimizer, torch.optim.Adam) for optimizer in algorithm.optimizers.values())
     assert settings.total_frames >= settings.total_episodes * settings.env.endings.time_limit
     assert settings.stop_when.evaluations is None
 

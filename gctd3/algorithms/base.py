@@ -14,6 +14,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
+from gctd3.algorithms.adam import Adam
 from gctd3.errors import ConfigError
 from gctd3.graph import KinematicGraph
 from gctd3.nn import Network, make_actor, make_critic, make_stochastic_actor
@@ -146,7 +147,7 @@ class Algorithm(ABC):
     def optimizer(self, name: str, parameters: Iterable[nn.Parameter]) -> torch.optim.Optimizer:
         """A new Adam over the trainable ones of ``parameters``, saved under ``name``."""
         trainable = [p for p in parameters if isinstance(p, nn.Parameter) and p.requires_grad]
-        self.optimizers[name] = torch.optim.Adam(trainable, lr=self.settings.learning_rate, fused=True)
+        self.optimizers[name] = Adam(trainable, lr=self.settings.learning_rate)
         return self.optimizers[name]
 
     def state_dict(self) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from torch import nn
 from gctd3.errors import ConfigError
 from gctd3.graph import KinematicGraph
 from gctd3.nn.encoder import FlatEncoder, GraphEncoder, Mixing
-from gctd3.nn.layers import LayerNorm, Linear
+from gctd3.nn.layers import MLP, LayerNorm, Linear
 from gctd3.nn.readout import JointReadout, PooledReadout
 from gctd3.nn.symmetry import Symmetric
 from gctd3.reflection import Reflection
@@ -96,7 +96,7 @@ class Network:
 
     def head(self, in_features: int, out_features: int) -> nn.Module:
         """Fresh fully connected layers, ``[*, in_features]`` to ``[*, out_features]``."""
-        return nn.Sequential(*self._layers(in_features, *self.hidden), Linear(self.hidden[-1], out_features))
+        return MLP(*self._layers(in_features, *self.hidden), Linear(self.hidden[-1], out_features))
 
     def joint_readout(self, graph: KinematicGraph, width: int, action_dim: int, per_action: int) -> JointReadout:
         """A fresh head that all joints share, ``[N, B, width]`` to ``[B, per_action * action_dim]``."""
@@ -109,7 +109,7 @@ class Network:
         first, *rest = self.hidden
         sizes = [first + privileged_dim, *rest]
         each = nn.Sequential(*self._layers(width + 1, first))
-        return PooledReadout(graph, action_dim, each, nn.Sequential(*self._layers(*sizes), Linear(sizes[-1], 1)))
+        return PooledReadout(graph, action_dim, each, MLP(*self._layers(*sizes), Linear(sizes[-1], 1)))
 
     def symmetry(
         self, reflection: Reflection | None, in_features: int, action_dim: int, per_action: int
