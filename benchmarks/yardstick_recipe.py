@@ -15,10 +15,18 @@ ALGORITHMS = ("td3", "sac", "ddpg")
 
 @dataclass(frozen=True)
 class Recipe:
-    """One set of values for all algorithms: those of CleanRL's benchmark, but for fewer random steps in short runs.
+    """One set of values for all algorithms: Spinning Up's defaults. Batches of 100 are TD3's authors' too.
+
+    Unlike there, updates begin after the random steps, and SAC's temperature is learned.
 
     One robot; after every step one update of the critics. An MLP with ReLU and PyTorch's initial weights, and nothing
-    that the other side lacks: single-step returns, no normalisation, the trained actor evaluated, not an average of it.
+    that the other side lacks: single-step returns, no normalisation, the trained actor evaluated, not an average of it;
+    SAC's deviation as its authors make it (``algo.scale=exp``).
+
+    With the same weights, transitions and draws both sides make the same updates (``tests/test_yardstick_updates.py``);
+    with the same starts and draws both keep the same transitions, get the same returns and train the same weights
+    (``tests/test_yardstick_data.py``). What is left: theirs adds TD3's and DDPG's noise to the uniform actions too,
+    updates first one step later, may draw the newest transition, and adds 1e-6 to what it takes SAC's logarithm of.
 
     Attributes:
         learning_rate: Of Adam, for every network and SAC's temperature.
@@ -35,8 +43,8 @@ class Recipe:
         temperature: SAC's first; it is learned, for an entropy of minus the number of actions.
     """
 
-    learning_rate: float = 3e-4
-    batch_size: int = 256
+    learning_rate: float = 1e-3
+    batch_size: int = 100
     capacity: int = 1_000_000
     gamma: float = 0.99
     tau: float = 0.005
@@ -80,7 +88,7 @@ def ours(algo: str, task: str, recipe: Recipe) -> list[str]:
             "algo.policy_noise": recipe.policy_noise,
             "algo.noise_clip": recipe.noise_clip,
         },
-        "sac": {"algo.alpha": recipe.temperature},
+        "sac": {"algo.alpha": recipe.temperature, "algo.scale": "exp"},
         "ddpg": {},
     }
     return [f"{key}={value}" for key, value in {**common, **own[algo]}.items()]

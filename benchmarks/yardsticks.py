@@ -7,7 +7,8 @@ Trains an MLP on Gymnasium's own observation with the values of ``benchmarks/yar
 ``python -m gctd3.train env=... env.observation=flat``, theirs a model of Stable-Baselines3's. Both are judged every
 ``every`` steps over ``episodes`` episodes by :func:`gctd3.evaluation.evaluate`, from the same starts. Trainings run one
 after another, seed by seed. Each is written to ``out`` as soon as it is over; those that ``out`` holds are not made
-again, so that the same command goes on after it was stopped.
+again, so that the same command goes on after it was stopped. On two cores: one command for each task, each with its own
+``out``.
 """
 
 from __future__ import annotations
@@ -122,7 +123,7 @@ def main() -> None:
         sides=",".join(SIDES),
         seeds="0,1,2",
         steps="100000",
-        every="5000",
+        every="10000",
         episodes="5",
         random_steps=str(Recipe().random_steps),
         threads="1",

@@ -11,6 +11,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.errors import ConfigError
 from gctd3.robot import Robot
@@ -240,7 +241,9 @@ class Explorer(TensorDictModuleBase):
             # Robots are on the CPU; the actor may be elsewhere.
             device = next(self.actor.parameters()).device
             seen = tensordict.select(*self.actor.in_keys).to(device)
-            tensordict.set("action", self.actor(seen).get("action").to("cpu"))
+            # TorchRL takes a distribution's mode unless told to draw from it.
+            with set_exploration_type(ExplorationType.RANDOM):
+                tensordict.set("action", self.actor(seen).get("action").to("cpu"))
             if self.settings.noise is not None:
                 action = tensordict.get("action")
                 noise = self.sigma * self._noise(tensordict.get("is_init").reshape(-1, 1))

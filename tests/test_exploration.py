@@ -13,7 +13,7 @@ from gctd3.envs.factory import EnvSettings, build_env
 from gctd3.envs.reward import Reward
 from gctd3.errors import ConfigError
 from gctd3.exploration import ExplorationSettings, Explorer, Rhythm
-from gctd3.nn import make_actor
+from gctd3.nn import make_actor, make_stochastic_actor
 
 DT = 0.02
 
@@ -241,6 +241,18 @@ def test_without_noise_the_action_is_the_actors(robot, actor):
     nodes = torch.randn(4, 8, 10)
     action = step(explorer(robot, actor, warmup_frames=0, noise=None), nodes)
     assert torch.equal(action, actor(TensorDict({"nodes": nodes}, [4]))["action"])
+
+
+def test_a_policy_that_is_random_by_itself_is_drawn_from(robot, graph):
+    actor = make_stochastic_actor(graph)
+    explore, nodes = explorer(robot, actor, robots=500, warmup_frames=0, noise=None), torch.randn(8, 10)
+    seen = actor(TensorDict({"nodes": nodes[None]}, [1]))
+    action = step(explore, nodes.expand(500, 8, 10))
+    # 500 draws before the tanh: of the distribution's mean and deviation, to some standard errors.
+    drawn = action.atanh()
+    error = seen["scale"][0] / 500**0.5
+    assert ((drawn.mean(dim=0) - seen["loc"][0]).abs() < 4 * error).all()
+    torch.testing.assert_close(drawn.std(dim=0), seen["scale"][0], rtol=0.15, atol=0.0)
 
 
 def test_it_is_the_live_actor_that_acts(robot, actor):

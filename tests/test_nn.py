@@ -179,11 +179,33 @@ def test_stochastic_actor(graph, network):
     with set_exploration_type(ExplorationType.RANDOM):
         one, two = actor(batch.clone()), actor(batch.clone())
     assert one["loc"].shape == one["scale"].shape == one["action"].shape == (5, 6)
-    assert one["action"].abs().max() <= 1.0 and (one["scale"] >= 1e-3).all()
+    assert one["action"].abs().max() <= 1.0 and (one["scale"] >= 0.01).all()
     assert not torch.equal(one["action"], two["action"]) and torch.equal(one["loc"], two["loc"])
     assert actor.get_dist(batch.clone()).log_prob(one["action"]).shape == (5,)
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         torch.testing.assert_close(actor(batch.clone())["action"], one["loc"].tanh())
+
+
+@pytest.mark.parametrize("scale", ["softplus", "exp"])
+def test_scale_of_a_stochastic_actor(graph, scale):
+    actor = make_stochastic_actor(graph, 10, 6, scale=scale)
+    last = actor.module[0].module[0].head[-1]
+    torch.nn.init.zeros_(last.weight)
+
+    def scales(*values):
+        """Of actions whose unbounded numbers are ``values``."""
+        with torch.no_grad():
+            last.bias[6:] = torch.tensor(values)
+        return actor(TensorDict({"nodes": torch.randn(1, 8, 10)}, [1]))["scale"][0].tolist()
+
+    # 0.01 + log(1 + exp(x + log(exp(0.99) - 1))), which is 1 at 0; exp of -20 at least, of 2 at most.
+    expected = {"softplus": [1.0, 0.4938, 1.7323, 0.01, 5.5394], "exp": [1.0, 0.3679, 2.7183, 0.0, 7.3891]}
+    assert scales(0.0, -1.0, 1.0, -50.0, 5.0, 0.0)[:5] == pytest.approx(expected[scale], abs=1e-4)
+
+
+def test_a_scale_that_is_unknown(graph):
+    with pytest.raises(ConfigError, match=r"^scale must be one of softplus, exp, got 'log'"):
+        make_stochastic_actor(graph, scale="log")
 
 
 def test_same_seed_same_network(graph, network):

@@ -129,9 +129,10 @@ def test_both_have_the_same_networks_and_optimisers(recipe, algo):
         *([theirs.ent_coef_optimizer] if algo == "sac" else []),
     ]
     for optimiser in (*algorithm.optimizers.values(), *optimisers):
-        assert type(optimiser) is torch.optim.Adam
+        assert isinstance(optimiser, torch.optim.Adam)
         (group,) = optimiser.param_groups
         assert [group[key] for key in ("lr", "betas", "eps", "weight_decay")] == [7e-4, (0.9, 0.999), 1e-8, 0]
+        assert not (group["amsgrad"] or group["maximize"])
 
 
 # What is made of curves.

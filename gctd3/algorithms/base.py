@@ -18,6 +18,7 @@ from gctd3.algorithms.adam import Adam
 from gctd3.errors import ConfigError
 from gctd3.graph import KinematicGraph
 from gctd3.nn import Network, make_actor, make_critic, make_stochastic_actor
+from gctd3.nn.actor import Scale
 from gctd3.reflection import Reflection
 
 Metrics = dict[str, Tensor]
@@ -51,10 +52,10 @@ class Architecture:
         actor = make_actor(self.graph, self.in_features, self.action_dim, self.network, self.reflection)
         return actor.to(self.device)
 
-    def stochastic_actor(self) -> TensorDictModuleBase:
-        """A fresh Gaussian policy."""
+    def stochastic_actor(self, scale: Scale = "softplus") -> TensorDictModuleBase:
+        """A fresh Gaussian policy; ``scale`` as of :func:`.make_stochastic_actor`."""
         sizes = self.in_features, self.action_dim
-        return make_stochastic_actor(self.graph, *sizes, self.network, self.reflection).to(self.device)
+        return make_stochastic_actor(self.graph, *sizes, self.network, self.reflection, scale).to(self.device)
 
     def critic(self) -> TensorDictModule:
         """A fresh action-value network."""

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import torch
 from tensordict import TensorDictBase
 
-from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics
+from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics, minimize
 from gctd3.errors import ConfigError
+from gctd3.nn.actor import Scale
 from gctd3.objectives import FusedSoftUpdate, SACLoss
 
 
@@ -18,9 +19,12 @@ class SACSettings(AlgorithmSettings):
 
     Attributes:
         alpha: Initial temperature.
+        scale: What makes the policy's standard deviation of a number without bounds: ``exp``, as in the authors' code,
+            or ``softplus``, as in TorchRL.
     """
 
     alpha: float = 0.2
+    scale: Scale = "softplus"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -35,12 +39,12 @@ class SACSettings(AlgorithmSettings):
 class SAC(Algorithm):
     """Twin critics, a Gaussian actor, and a temperature that holds its entropy at minus the number of actions."""
 
-    LOSSES = ("forward",)
+    LOSSES = ("qvalue_v2_loss", "actor_loss")
 
     def __init__(self, settings: SACSettings, architecture: Architecture) -> None:
         super().__init__(settings.compile)
         self.settings = settings
-        self.actor = architecture.stochastic_actor()
+        self.actor = architecture.stochastic_actor(settings.scale)
         self.loss = SACLoss(
             self.actor,
             [architecture.critic() for _ in range(2)],
@@ -57,22 +61,26 @@ class SAC(Algorithm):
         self._average = self.loss.actor_network_params.data.clone()
 
     def _update(self, batch: TensorDictBase) -> Metrics:
-        """One update of the critics, the actor, the temperature and the targets."""
-        losses = self.loss(batch)
-        total = losses["loss_qvalue"] + losses["loss_actor"] + losses["loss_alpha"]
-        for optimizer in self.optimizers.values():
-            optimizer.zero_grad(set_to_none=True)
-        # One backward pass: each loss reaches only its own parameters.
-        total.backward()
-        for optimizer in self.optimizers.values():
-            optimizer.step()
+        """One update of the critics, the actor, the temperature and the targets, in this order (Algorithm 1)."""
+        # Critics: half the squared distance from the target (equation 5).
+        alpha = self.loss.log_alpha.detach().exp()
+        loss_critic = 0.5 * self.loss.qvalue_v2_loss(batch)[0]
+        minimize(self.critic_optimizer, loss_critic)
+
+        # Actor: towards what the critics now value, and entropy (equation 7).
+        loss_actor, details = self.loss.actor_loss(batch)
+        minimize(self.actor_optimizer, loss_actor)
+
+        # Temperature: up where the entropy of these actions is too low (equation 18).
+        minimize(self.alpha_optimizer, self.loss.alpha_loss(details["log_prob"]).mean())
+
         self.targets.step()
         self._average.lerp_(self.loss.actor_network_params.data, self.settings.tau)
         return {
-            "loss_critic": losses["loss_qvalue"].detach(),
-            "loss_actor": losses["loss_actor"].detach(),
-            "alpha": losses["alpha"].detach(),
-            "entropy": losses["entropy"].detach(),
+            "loss_critic": loss_critic.detach(),
+            "loss_actor": loss_actor.detach(),
+            "alpha": alpha,
+            "entropy": -details["log_prob"].mean(),
         }
 
     def averaged_actor_params(self) -> TensorDictBase:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import cast
+from typing import Literal, cast, get_args
 
 import torch
 from tensordict.nn import NormalParamExtractor, TensorDictModule, TensorDictModuleBase
@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torchrl.data import Bounded
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
+from gctd3.errors import ConfigError
 from gctd3.graph import KinematicGraph
 from gctd3.nn.encoder import GraphEncoder
 from gctd3.nn.network import Network
@@ -17,6 +18,8 @@ from gctd3.nn.readout import JointReadout
 from gctd3.reflection import Reflection
 
 NODES, ACTION = "nodes", "action"
+Scale = Literal["softplus", "exp"]
+LOG_SCALE = (-20.0, 2.0)  # between which the authors of SAC clip it
 
 
 class Actor(nn.Module):
@@ -67,6 +70,15 @@ class Actor(nn.Module):
         return out if out.ndim == 3 else out.reshape(*nodes.shape[:-2], out.shape[-1])
 
 
+class ClippedExp(nn.Module):
+    """A network's output ``[*, 2 * A]`` to mean and standard deviation, each ``[*, A]``, as SAC's authors do."""
+
+    def forward(self, out: Tensor) -> tuple[Tensor, Tensor]:
+        """Split ``out`` and clip."""
+        loc, log_scale = out.chunk(2, dim=-1)
+        return loc, log_scale.clamp(*LOG_SCALE).exp()
+
+
 def make_actor(
     graph: KinematicGraph,
     in_features: int = 10,
@@ -103,19 +115,34 @@ def make_stochastic_actor(
     action_dim: int = 6,
     network: Network | None = None,
     reflection: Reflection | None = None,
+    scale: Scale = "softplus",
 ) -> TensorDictModuleBase:
-    """A tanh-squashed Gaussian policy (SAC, arXiv:1812.05905); arguments as of :func:`make_actor`.
+    """A tanh-squashed Gaussian policy (SAC, arXiv:1812.05905); arguments as of :func:`make_actor`, and one more.
+
+    Args:
+        graph: The robot's graph.
+        in_features: ``F``, features of a node over all stacked frames.
+        action_dim: ``A``, number of actions.
+        network: Sizes and kind; the paper's GCN by default.
+        reflection: How the robot looks in the mirror, for an equivariant network.
+        scale: What makes the standard deviation of the network's second output ``x``: ``softplus`` as TorchRL has it,
+            shifted so that 0 gives 1, and at least 0.01; ``exp`` of ``x`` clipped to :data:`LOG_SCALE`, as in the code
+            of SAC's authors. Both begin near 1.
 
     Returns:
         A :class:`~torchrl.modules.ProbabilisticActor` that reads ``"nodes"`` ``[*, N, F]`` and writes ``"loc"``,
         ``"scale"`` and ``"action"``, each ``[*, A]``.
+
+    Raises:
+        ConfigError: If there is no such ``scale``.
     """
+    if scale not in get_args(Scale):
+        raise ConfigError(f"scale must be one of {', '.join(get_args(Scale))}, got {scale!r}.")
     module = Actor(
         network or Network(), graph, in_features, action_dim, per_action=2, squash=False, reflection=reflection
     )
-    parameters = TensorDictModule(
-        nn.Sequential(module, NormalParamExtractor(scale_lb=1e-3)), in_keys=[NODES], out_keys=["loc", "scale"]
-    )
+    extract = ClippedExp() if scale == "exp" else NormalParamExtractor()
+    parameters = TensorDictModule(nn.Sequential(module, extract), in_keys=[NODES], out_keys=["loc", "scale"])
     return ProbabilisticActor(
         module=parameters,
         spec=Bounded(low=-1.0, high=1.0, shape=(action_dim,)),
