@@ -44,7 +44,7 @@ WRONG = {
     "exploration.frequency=[1,26]": ["exploration.frequency", "25 Hz", "[1, 26]"],
     "exploration.noise=[0.1,20]": ["exploration.noise", "<= 10", "[0.1, 20]"],
     "replay.batch_size=980": ["replay.capacity must hold a batch", "replay.batch_size is 980", "972"],
-    "reward.swing_least=0.5": ["reward.swing_least", "at most swing_most", "0.5 and 0.4"],
+    "reward.swing_least=0.5": ["reward.swing_least", "at most swing_most", "0.5 and 0.36"],
     "network.hidden=[16384,16384]": ["network.hidden", "100,000,000 weights", "268,435,456"],
     "network.hidden=[99999]": ["network.hidden", "16,384", "[99999]"],
     "env.history=100000": ["env.history must be at most 1,000, got 100000"],
