@@ -42,7 +42,7 @@ class TD3Settings(AlgorithmSettings):
 class TD3(Algorithm):
     """Twin critics, target noise, delayed actor."""
 
-    LOSSES = ("value_loss", "actor_loss")
+    LOSSES = ("of_critics", "of_actor")
 
     def __init__(self, settings: TD3Settings, architecture: Architecture) -> None:
         super().__init__(settings.compile)
@@ -66,13 +66,13 @@ class TD3(Algorithm):
     def _update(self, batch: TensorDictBase) -> Metrics:
         """One critic update; every ``policy_delay``-th also one of the actor and the targets."""
         # Critics: towards the smaller target critic's value of the target actor's noisy action (equations 9 to 11).
-        loss_critic, details = self.loss.value_loss(batch)
+        loss_critic, details = self.loss.of_critics(batch)
         minimize(self.critic_optimizer, loss_critic)
         metrics = {"loss_critic": loss_critic.detach(), "value": details["pred_value"].mean()}
 
         if self.updates % self.settings.policy_delay == 0:
             # Actor: up the first critic's value.
-            loss_actor, _ = self.loss.actor_loss(batch)
+            loss_actor, _ = self.loss.of_actor(batch)
             minimize(self.actor_optimizer, loss_actor)
             metrics["loss_actor"] = loss_actor.detach()
 

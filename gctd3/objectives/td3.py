@@ -19,6 +19,9 @@ class TD3Loss(TorchRLTD3Loss):
     Same constructor and keys, same losses and gradients. Two differences: the critics' stacked parameters run as one
     batched module (no ``vmap``; the actor's loss evaluates the one critic that it uses), and the critics' ``in_keys``
     are taken from the whole batch, where TorchRL passes on only what the actor reads.
+
+    TorchRL sets exploration type and recurrent mode around every method that ends in ``loss``. For networks that know
+    neither, :meth:`of_actor` and :meth:`of_critics` give the same without.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - TorchRL's
@@ -35,6 +38,14 @@ class TD3Loss(TorchRLTD3Loss):
         self._in_keys: list[object] = list({*self._in_keys, *following})
 
     def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """As of TorchRL's, from a batch of size ``[B]``: the loss and what else it found."""
+        return self.of_actor(tensordict)
+
+    def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """As of TorchRL's, from a batch of size ``[B]``: the loss and what else it found."""
+        return self.of_critics(tensordict)
+
+    def of_actor(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Minus the first critic's value of the actor's action (equation below 11 of the paper)."""
         networks, key = self._networks, self.tensor_keys.action
         actor = networks.get("actor", self.actor_network, lambda: self.actor_network_params)
@@ -43,7 +54,7 @@ class TD3Loss(TorchRLTD3Loss):
         loss = self._reduce_loss(-value, tensordict=tensordict, weights=self._maybe_get_priority_weight(tensordict))
         return loss, {"state_action_value_actor": value.detach()}
 
-    def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+    def of_critics(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Both critics' distance from the target of equation 9."""
         networks, key = self._networks, self.tensor_keys.action
         taken, following = tensordict.get(key), tensordict.get("next")
