@@ -188,7 +188,7 @@ def _traces(
         figure = figures.joint_traces(run.trace, robot)
         others.append(gallery.add(figure, f"joints_{i}", f"{whose}: joints, right against left", late))
         figure = figures.phase_portraits(run.trace, robot)
-        caption = "Past the first third of the episode; one closed loop is a motion that repeats."
+        caption = f"The last {figures.STRIDES_SECONDS:g} s at most; one closed loop is a motion that repeats."
         others.append(gallery.add(figure, f"phase_{i}", f"{whose}: phase portraits", caption))
     figure = figures.contacts(run.trace, robot)
     return [gallery.add(figure, f"contacts_{i}", f"{whose}: feet on the ground", late)], others, []
@@ -212,7 +212,10 @@ def _robustness(groups: Mapping[str, Sequence[Run]], gallery: Gallery) -> list[o
     found.append(gallery.add(figure, "conditions", "Success under other conditions", caption))
     shoves = robustness_plot.shoves_figure(examined)
     if shoves is not None:
-        caption = "The largest impulse on the body up to which all starts survive; the mean over seeds."
+        caption = (
+            "The largest impulse on the body up to which all starts survive; the mean over seeds. Solid "
+            "forward, dashed backward."
+        )
         found.append(gallery.add(shoves, "shoves", "Shoves survived over the stride", caption))
     return found
 

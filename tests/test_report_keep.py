@@ -29,7 +29,7 @@ def test_a_report_of_kept_runs_has_the_same_numbers(tmp_path, monkeypatch, capsy
     assert sum(file.stat().st_size for file in kept.rglob("*") if file.name != "trace.csv") < 4 * 20_000
     assert command("report", "runs=out/runs", "out=again", "threads=1") == 0
     found = numbers(tmp_path / "out")
-    assert {"table5.csv", "equal_time.csv", "gait.csv", "runs.csv", "verdict.txt"} <= set(found)
+    assert {"table5.csv", "equal_time.csv", "runs.csv", "verdict.txt"} <= set(found)
     assert numbers(tmp_path / "again") == found
     pictures = {file.name for file in (tmp_path / "out" / "figures").iterdir()}
     again = {file.name for file in (tmp_path / "again" / "figures").iterdir()}

@@ -25,6 +25,7 @@ from gctd3.reporting.verdict import scores
 from gctd3.robot import Robot
 
 SECONDS = 3.0  # of the traces
+STRIDES_SECONDS = 6.0  # of the phase portraits
 POINTS = 60  # of a curve
 PALETTE = 128  # colours of a PNG
 
@@ -232,9 +233,9 @@ def contacts(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
 
 
 def phase_portraits(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
-    """Velocity over angle of each joint, right and left, past the first third: a closed loop repeats itself."""
+    """Velocity over angle of each joint, right and left, over the last strides: a closed loop repeats itself."""
     pairs = joint_pairs(robot)
-    settled = slice(len(trace["time_s"]) // 3, None)
+    settled = _late(trace, STRIDES_SECONDS)
     figure, axes = new(1, len(pairs), height=2.1)
     for ax, (first, second) in zip(axes[0], pairs, strict=True):
         for name, colour in ((first, RIGHT), (second, LEFT)):
@@ -258,8 +259,8 @@ def _few_ticks(ax: Axes) -> None:
     ax.tick_params(labelsize=8)
 
 
-def _late(trace: Mapping[str, np.ndarray]) -> np.ndarray:
-    return np.asarray(trace["time_s"] > trace["time_s"][-1] - SECONDS)
+def _late(trace: Mapping[str, np.ndarray], seconds: float = SECONDS) -> np.ndarray:
+    return np.asarray(trace["time_s"] > trace["time_s"][-1] - seconds)
 
 
 def _escaped(text: str) -> str:
