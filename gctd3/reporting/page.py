@@ -36,9 +36,9 @@ figure img { border-radius: 4px; }
 .scroll { overflow-x: auto; border: 1px solid var(--line); border-radius: 8px; }
 table { border-collapse: collapse; width: 100%; font-size: 0.875rem; font-variant-numeric: tabular-nums; }
 small { color: var(--soft); }
-th, td { text-align: left; padding: 0.35rem 0.7rem; border-bottom: 1px solid var(--line); vertical-align: top; }
-th { background: var(--card); font-weight: 600; white-space: nowrap; } tr:last-child td { border-bottom: 0; }
-td { white-space: nowrap; } td.long { white-space: normal; min-width: 14rem; color: var(--soft); }
+th, td { text-align: left; padding: 0.35rem 0.5rem; border-bottom: 1px solid var(--line); vertical-align: top; }
+th { background: var(--card); font-weight: 600; } tr:last-child td { border-bottom: 0; }
+td { white-space: nowrap; } td.long { white-space: normal; min-width: 13rem; color: var(--soft); }
 td:first-child { position: sticky; left: 0; background: var(--paper); }
 @media (max-width: 40rem) { td:first-child { white-space: normal; min-width: 7.5rem; } }
 """
