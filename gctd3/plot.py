@@ -17,6 +17,7 @@ INK = "#010203"  # of text and axes; stands for the page's own colour there
 WIDTH, HEIGHT = 4.6, 2.9  # inches
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
+    "path.simplify_threshold": 0.3,  # points of an SVG that nobody sees
     "font.size": 9,
     "font.family": "sans-serif",
     "axes.spines.top": False,
@@ -46,9 +47,20 @@ def new(rows: int = 1, columns: int = 1, height: float = HEIGHT, sharex: bool = 
         return figure, figure.subplots(rows, columns, squeeze=False, sharex=sharex)
 
 
-def legend(ax: Axes, above: bool = False) -> None:
-    """The legend, inside the axes where there is room, or above them."""
-    place: dict[str, Any] = {"loc": "best"}
-    if above:
-        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.97), "ncols": 4, "borderaxespad": 0.1}
-    ax.legend(**place, frameon=False, fontsize=8, labelcolor=INK, handlelength=1.2)
+def legend(ax: Axes) -> None:
+    """The legend above the axes, where it hides nothing, in as many columns as there is room for."""
+    labels = ax.get_legend_handles_labels()[1]
+    if not labels:
+        return
+    widest = 30 + 4.2 * max(map(len, labels))  # points: the handle and the gap, then the letters
+    ax.legend(
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+        ncols=max(1, min(4, int(72 * WIDTH / widest))),
+        borderaxespad=0.1,
+        frameon=False,
+        fontsize=8,
+        labelcolor=INK,
+        handlelength=1.2,
+        columnspacing=1.2,
+    )

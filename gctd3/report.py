@@ -13,17 +13,19 @@ from omegaconf import DictConfig
 
 import gctd3
 from gctd3.cli import command
+from gctd3.episode import LAST_METRES
 from gctd3.errors import ConfigError, RenderError, RunError
 from gctd3.evaluate import TRACE
 from gctd3.evaluation import Judging
 from gctd3.files import write_text
-from gctd3.reporting.groups import groups_of
+from gctd3.reporting.groups import groups_of, typical, with_trace
+from gctd3.reporting.keep import check_keep, keep
 from gctd3.reporting.runs import Run, check_together, evaluated, find_runs
 from gctd3.robot import Robot
 from gctd3.settings import build
 
 if TYPE_CHECKING:
-    from gctd3.reporting.figures import Gallery
+    from gctd3.reporting.figures import Gallery, Picture
 
 PAGE = "index.html"
 NEEDED = ("rliable", "matplotlib")
@@ -36,10 +38,12 @@ class ReportSettings(Judging):
     Attributes:
         runs: Directory below which the runs are.
         out: Directory to write to.
+        keep_runs: Whether to copy there, as ``runs``, what the numbers were made of.
     """
 
     runs: str
     out: str
+    keep_runs: bool = False
 
 
 def report(settings: ReportSettings) -> Path:
@@ -55,18 +59,25 @@ def report(settings: ReportSettings) -> Path:
     missing = [package for package in NEEDED if find_spec(package) is None]
     if missing:
         raise ConfigError(f"report needs {', '.join(missing)}: pip install 'gctd3[report]'.")
+    if settings.keep_runs:
+        check_keep(Path(settings.runs), Path(settings.out))
     runs = find_runs(Path(settings.runs))
     check_together(runs)
     runs = evaluated(runs, settings)
     if all(run.evaluation is None for run in runs):
         raise RunError(f"None of the {len(runs)} runs below {settings.runs} could be evaluated: {runs[0].failure}")
-    return write(groups_of(runs), Path(settings.out))
+    groups = groups_of(runs)
+    page = write(groups, Path(settings.out))
+    if settings.keep_runs:
+        keep(groups, Path(settings.out))
+    return page
 
 
 def write(groups: Mapping[str, Sequence[Run]], out: Path) -> Path:
     """Write the report of runs by group; see :func:`report`."""
     # Imported late, so that a wrong setting is answered at once.
     from gctd3.reporting import figures, tables
+    from gctd3.reporting.clock import time_limit
     from gctd3.reporting.page import page
     from gctd3.reporting.verdict import verdict
 
@@ -79,15 +90,19 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path) -> Path:
     subject = Path(str(named[0])).stem if walks else str(config["env.task"])
     gallery = figures.Gallery(out / "figures")
 
+    limit = time_limit(groups)
     learning = []
     axes = (("frames", "frames, thousands", 1000.0), ("wall_s", "wall-clock, minutes", 60.0))
     for x, label, scale in (*axes, ("train_episodes", "training episodes", 1.0)):
-        figure = figures.curves(groups, x, label, scale)
+        at_limit = limit.seconds if limit is not None and x == "wall_s" else None
+        figure = figures.curves(groups, x, label, scale, at_limit)
         if figure is not None:
             caption = (
                 "Interquartile mean over seeds (their number in brackets) and its 95 % bootstrap interval; a dot where "
                 "a run ended, whose last value stands from there on."
             )
+            if at_limit is not None:
+                caption += " Dashed, where the groups are compared at equal wall-clock."
             learning.append(gallery.add(figure, f"curve_{x}", f"Return over {label}", caption))
 
     compared = [
@@ -103,7 +118,7 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path) -> Path:
         caption = "With its 95 % interval; at 0.5, dashed, neither is ahead."
         compared.append(gallery.add(chances, "improvement", "Probability of improvement", caption))
 
-    if any(figures.typical(members) for members in groups.values()):
+    if any(typical(with_trace(members)) for members in groups.values()):
         caption = "Of the typical episode of the run whose return is its group's median."
         compared.append(gallery.add(figures.body_height(groups), "body_height", "Body height", caption))
 
@@ -111,7 +126,8 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path) -> Path:
     sections: list[tuple[str, list[object]]] = [
         ("Learning", [*learning]),
         ("Table 5", [table5, *compared]),
-        ("Gait", [tables.gaits(groups), *(_gait_pictures(groups, robot, gallery) if robot is not None else [])]),
+        ("Equal wall-clock", [tables.equal_time(groups, limit)] if limit is not None else []),
+        ("Gait", [*_gaits(groups), *(_gait_pictures(groups, robot, gallery) if robot is not None else [])]),
         ("Robustness", _robustness(groups, gallery)),
         ("Runs", [tables.runs_table(groups)]),
         ("Settings", [tables.settings_table(groups)] if len(groups) > 1 else []),
@@ -128,41 +144,58 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path) -> Path:
     return out / PAGE
 
 
+def _gaits(groups: Mapping[str, Sequence[Run]]) -> list[object]:
+    from gctd3.reporting import tables
+
+    table = tables.gaits(groups)
+    return [table if table.rows else f"No episode got {LAST_METRES:.0f} m far, so there is no gait to measure."]
+
+
 def _gait_pictures(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: Gallery) -> list[object]:
-    from gctd3.reporting import figures
-    from gctd3.reporting.filmstrips import filmstrip, median
+    """Of each group what cannot be shown, and a row: a stride, joints, phase portraits above contacts."""
+    from gctd3.reporting.filmstrips import stride_of
+    from gctd3.reporting.page import Row
 
     found: list[object] = []
     for group, runs in groups.items():
-        run, i = median(runs), re.sub(r"\W+", "_", group)
+        run = typical(runs)
         if run is None:
             continue
+        notes, films = [], []
         try:
-            caption = "One stride of the policy whose return is the group's median, in equal steps of time."
-            strip = filmstrip(run, robot)
-            found.append(gallery.add_image(strip, f"film_{i}", f"{group}, seed {run.seed}: a stride", caption))
+            image, what, caption = stride_of(run, robot)
+            title = f"{group}, seed {run.seed}: {what}"
+            films.append(gallery.add_image(image, f"film_{_file(group)}", title, caption))
         except RenderError as error:
-            found.append(f"{group}: no filmstrip. {error}")
-        found += _traces(group, figures.typical(runs), robot, gallery)
+            notes.append(f"{group}: no filmstrip. {error}")
+        contacts, others, lacking = _traces(group, typical(with_trace(runs)), robot, gallery)
+        found += [*notes, *lacking, Row([films, others[:1], [*others[1:], *contacts]])]
     return found
 
 
-def _traces(group: str, run: Run | None, robot: Robot, gallery: Gallery) -> list[object]:
+def _traces(
+    group: str, run: Run | None, robot: Robot, gallery: Gallery
+) -> tuple[list[Picture], list[Picture], list[str]]:
+    """Contacts; joints and phase portraits; what there is none of."""
     from gctd3.reporting import figures
 
     if run is None or run.trace is None:
-        return [f"{group}: no joint traces and no contacts, for its runs have no {TRACE}; evaluate them again for it."]
-    found: list[object] = []
-    whose, i = f"{group}, seed {run.seed}", re.sub(r"\W+", "_", group)
+        lacking = f"{group}: no joint traces and no contacts, for its runs have no {TRACE}; evaluate them again for it."
+        return [], [], [lacking]
+    others, whose, i = [], f"{group}, seed {run.seed}", _file(group)
+    late = f"The end of the episode, at most {figures.SECONDS:g} s."
     if figures.joint_pairs(robot):
         figure = figures.joint_traces(run.trace, robot)
-        found.append(gallery.add(figure, f"joints_{i}", f"{whose}: joints, right against left", "The last 3 s."))
+        others.append(gallery.add(figure, f"joints_{i}", f"{whose}: joints, right against left", late))
         figure = figures.phase_portraits(run.trace, robot)
-        caption = "Past the first third of the episode; one closed loop is a motion that repeats."
-        found.append(gallery.add(figure, f"phase_{i}", f"{whose}: phase portraits", caption))
+        caption = f"The last {figures.STRIDES_SECONDS:g} s at most; one closed loop is a motion that repeats."
+        others.append(gallery.add(figure, f"phase_{i}", f"{whose}: phase portraits", caption))
     figure = figures.contacts(run.trace, robot)
-    found.append(gallery.add(figure, f"contacts_{i}", f"{whose}: feet on the ground", "The last 3 s."))
-    return found
+    return [gallery.add(figure, f"contacts_{i}", f"{whose}: feet on the ground", late)], others, []
+
+
+def _file(group: str) -> str:
+    return re.sub(r"\W+", "_", group)
 
 
 def _robustness(groups: Mapping[str, Sequence[Run]], gallery: Gallery) -> list[object]:
@@ -179,7 +212,10 @@ def _robustness(groups: Mapping[str, Sequence[Run]], gallery: Gallery) -> list[o
     found.append(gallery.add(figure, "conditions", "Success under other conditions", caption))
     shoves = robustness_plot.shoves_figure(examined)
     if shoves is not None:
-        caption = "The largest impulse on the body up to which all starts survive; the mean over seeds."
+        caption = (
+            "The largest impulse on the body up to which all starts survive; the mean over seeds. Solid "
+            "forward, dashed backward."
+        )
         found.append(gallery.add(shoves, "shoves", "Shoves survived over the stride", caption))
     return found
 

@@ -69,7 +69,7 @@ def _conditions(ax: Axes, groups: Groups) -> None:
     ax.grid(axis="y", visible=False)
     ax.set_axisbelow(True)
     if len(groups) > 1:
-        legend(ax, above=True)
+        legend(ax)
 
 
 def _shoves(ax: Axes, groups: Groups) -> None:
@@ -86,12 +86,13 @@ def _shoves(ax: Axes, groups: Groups) -> None:
                 marker="o",
                 ms=3,
                 lw=1.6,
-                label=" ".join(filter(None, (group, direction))),
+                # Of many groups the colour says whose a line is, its dashes where to.
+                label=direction if len(groups) == 1 else group if sign > 0 else None,
             )
     ax.set(xlabel="part of the stride since a touchdown of the first foot", ylabel="impulse survived, N s")
     ax.set(xlim=(0, 1), ylim=(0, 1.06 * ax.dataLim.y1 if ax.lines else None))
     if ax.lines:
-        legend(ax, above=True)
+        legend(ax)
 
 
 def _largest(results: Sequence[Mapping[str, Any]], direction: str) -> np.ndarray | None:

@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import xml.etree.ElementTree as ElementTree
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from gctd3.reporting.groups import differences, groups_of
 from gctd3.reporting.runs import check_together, find_runs
 from gctd3.reporting.statistics import Interval, higher, improvement, interval, intervals, iqm, profile
 from gctd3.reporting.tables import robustness_table, runs_table, spawn_height, table5
-from gctd3.reporting.verdict import comparison, verdict
+from gctd3.reporting.verdict import compare, too_few, verdict
 
 # Statistics.
 
@@ -80,7 +81,7 @@ def test_texts_of_intervals():
 
 
 def say(a, b):
-    return comparison("return", "", 1, "returns more", ("gctd3", a), ("td3", b))
+    return compare("return", "", 1, "returns more", ("gctd3", a), ("td3", b)).text
 
 
 def test_the_verdict_claims_no_more_than_the_intervals():
@@ -90,6 +91,16 @@ def test_the_verdict_claims_no_more_than_the_intervals():
     assert "no difference shown, the intervals overlap" in say([1.0, 9.0, 3.0, 7.0, 5.0], [2.0, 8.0, 4.0, 6.0, 5.0])
     assert "a single seed cannot show one: 9.0 (1 seed) against 1.0 (1 seed)" in say([9.0], [1.0])
     assert "td3 has no number for it" in say([9.0, 8.0], [])
+    assert "no difference shown, so few seeds cannot show one: 8.0" in say([7.0, 8.0, 9.0], [1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("ours, theirs", [(2, 2), (3, 3), (3, 5), (4, 4), (1, 9)])
+def test_how_many_seeds_it_takes_is_what_shuffling_them_says(ours, theirs):
+    # All ways to deal the ranks 0, 1, ... to two groups alike; in how many is one group wholly above the other?
+    every = range(ours + theirs)
+    dealt = [set(hand) for hand in combinations(every, ours)]
+    apart = [h for h in dealt if max(h) < min(set(every) - h) or min(h) > max(set(every) - h)]
+    assert too_few(ours, theirs) == (len(apart) / len(dealt) > 0.05)
 
 
 # Runs that are made up.
@@ -188,11 +199,11 @@ def test_runs_that_do_not_belong_together_are_refused(tmp_path, change, said):
 def test_table5_by_hand(pair, robot):
     table = table5(groups_of(find_runs(pair)), robot, True)
     ours, paper = dict(zip(table.head, table.rows[0], strict=True)), table.rows[1]
-    assert ours["return"] == "501.0 ± 1.0" and ours["return, IQM"].startswith("501.0 [")
+    assert ours["return, mean ± sd"] == "501.0 ± 1.0" and ours["return, IQM"].startswith("501.0 [")
     assert ours["seeds judged"] == "3 of 3" and ours["success"] == "1.00"
     # The robot is dropped 0.0235 m above where it stands.
     assert spawn_height(robot) == pytest.approx(0.0235)
-    assert ours["body from standing, m"] == "0.0100" and ours["from spawn, m"] == "-0.0135"
+    assert ours["body from standing, m"] == "0.0100" and ours["body from spawn, m"] == "-0.0135"
     assert paper[0] == "paper, GCTD3" and "380.0 ± 18.47" in paper and "1.414" in paper and "-0.0202" in paper
 
 
@@ -202,7 +213,7 @@ def test_failed_seeds_are_counted(tmp_path, capsys):
     make(tmp_path / "runs", "a2", evaluation=False)  # it has no policy either
     page = report(ReportSettings(str(tmp_path / "runs"), str(tmp_path / "out")))
     text = page.read_text(encoding="utf-8")
-    assert "2 of 3 seeds reach the finish in every episode; 1 failed and have no numbers." in text
+    assert "2 of 3 seeds reach the finish in every episode that was judged; 1 failed and have no numbers." in text
     assert "2 of 3" in text and "failed: " in text
     assert "evaluating" in capsys.readouterr().err
 
@@ -247,10 +258,30 @@ def test_what_there_is_no_trace_and_no_policy_for_is_said(pair, tmp_path):
 
 
 def test_the_verdict_of_made_up_runs(pair):
-    said = "\n".join(verdict(groups_of(find_runs(pair))))
-    assert "gctd3 and td3, return: gctd3 returns more: 501.0" in said
-    assert "gctd3 and td3, velocity: no difference shown" in said
+    said = verdict(groups_of(find_runs(pair)))
+    # Return, velocity, time to the finish; return and success at equal wall-clock.
+    assert said[0] == "In short: no difference shown in 5 comparisons."
+    said = "\n".join(said)
+    assert "gctd3 and td3, return: no difference shown, so few seeds cannot show one: 501.0" in said
     assert "fewer than 5 seeds" in said
+    for seed in (3, 4):
+        make(pair, f"a{seed}", 500.0 + seed)
+        make(pair, f"b{seed}", 400.0 + seed, overrides=["algo=td3"], change={"algo.tau": 0.01})
+    said = verdict(groups_of(find_runs(pair)))
+    assert said[0] == (
+        "In short: 5 comparisons, 2 of which show a difference; one in so many may be chance: gctd3 returns more than "
+        "td3 (return); gctd3 returns more than td3 (return after 2.0 min of training)."
+    )
+    said = "\n".join(said)
+    assert "gctd3 and td3, return: gctd3 returns more: 502.0" in said and "fewer than" not in said
+    assert "gctd3 and td3, velocity: no difference shown, the intervals overlap" in said
+
+
+def test_times_of_seeds_that_never_finished_are_not_compared(pair):
+    (pair / "b1" / "progress.csv").write_text("frames,wall_s,return_mean,success_rate\n1000,60,5.0,0.9\n")
+    said = "\n".join(verdict(groups_of(find_runs(pair))))
+    assert "time to the first evaluation" not in said
+    assert "between groups that always got there; not so 1 of 3 seeds of td3." in said
 
 
 def test_minutes_of_made_up_runs(pair):

@@ -16,14 +16,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
+from gctd3.files import write_text
 from gctd3.plot import COLOURS, INK, LEFT, RIGHT, STYLE, colours, legend, new
+from gctd3.reporting.groups import typical, with_trace
 from gctd3.reporting.runs import Run
 from gctd3.reporting.statistics import improvement, intervals, profile
 from gctd3.reporting.verdict import scores
 from gctd3.robot import Robot
 
 SECONDS = 3.0  # of the traces
+STRIDES_SECONDS = 6.0  # of the phase portraits
 POINTS = 60  # of a curve
+PALETTE = 128  # colours of a PNG
 
 
 @dataclass(frozen=True)
@@ -57,21 +61,37 @@ class Gallery:
     def add(self, figure: Figure, name: str, title: str, caption: str) -> Picture:
         """Save a figure as SVG and PNG, and make it a picture for the page."""
         with matplotlib.rc_context({**STYLE, "svg.hashsalt": name}):
-            for suffix in ("svg", "png"):
-                # No date, so that equal numbers make equal files.
-                metadata = {"Date": None} if suffix == "svg" else {}
-                figure.savefig(self.directory / f"{name}.{suffix}", dpi=160, facecolor="white", metadata=metadata)
-            stream = io.StringIO()
-            figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
-        return Picture(name, title, caption, inline(stream.getvalue(), name, title))
+            pixels = io.BytesIO()
+            figure.savefig(pixels, format="png", dpi=160, facecolor="white")
+            # No date, so that equal numbers make equal files.
+            alone, inside = io.StringIO(), io.StringIO()
+            figure.savefig(alone, format="svg", facecolor="white", metadata={"Date": None})
+            figure.savefig(inside, format="svg", transparent=True, metadata={"Date": None})
+        _save_png(Image.open(pixels), self.directory / f"{name}.png")
+        write_text(self.directory / f"{name}.svg", shorter(alone.getvalue()))
+        return Picture(name, title, caption, inline(shorter(inside.getvalue()), name, title))
 
     def add_image(self, image: Image.Image, name: str, title: str, caption: str) -> Picture:
         """Save pixels as PNG, and make them a picture for the page."""
-        image.save(self.directory / f"{name}.png")
+        _save_png(image, self.directory / f"{name}.png")
         stream = io.BytesIO()
         image.save(stream, format="JPEG", quality=80, optimize=True)
         data = base64.b64encode(stream.getvalue()).decode()
         return Picture(name, title, caption, f'<img alt="{_escaped(title)}" src="data:image/jpeg;base64,{data}">')
+
+
+def _save_png(image: Image.Image, file: Path) -> None:
+    # Its colours are few, and a palette makes a third of the file.
+    image.convert("RGB").quantize(PALETTE, dither=Image.Dither.NONE).save(file, optimize=True)
+
+
+def shorter(svg: str) -> str:
+    """An SVG of matplotlib's with the coordinates of its paths to a tenth of a point, not a millionth."""
+    return re.sub(r' d="[^"]*"', lambda path: re.sub(r"-?\d+\.\d{2,}", _tenths, path[0]), svg)
+
+
+def _tenths(number: re.Match[str]) -> str:
+    return f"{float(number[0]):.1f}".removesuffix(".0")
 
 
 def inline(svg: str, name: str, title: str) -> str:
@@ -84,10 +104,13 @@ def inline(svg: str, name: str, title: str) -> str:
     return re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', body)
 
 
-def curves(groups: Mapping[str, Sequence[Run]], x: str, label: str, scale: float = 1.0) -> Figure | None:
+def curves(
+    groups: Mapping[str, Sequence[Run]], x: str, label: str, scale: float = 1.0, mark: float | None = None
+) -> Figure | None:
     """Return over ``x``, a column of ``progress.csv``: interquartile mean over seeds and its interval.
 
-    Between evaluations lines are straight; past a run's last one its last value stands. ``None`` if no run has ``x``.
+    Between evaluations lines are straight; past a run's last one its last value stands. ``mark`` is an ``x`` to draw a
+    line at. ``None`` if no run has ``x``.
     """
     figure, axes = new()
     ax, found = axes[0, 0], False
@@ -106,6 +129,8 @@ def curves(groups: Mapping[str, Sequence[Run]], x: str, label: str, scale: float
         if np.isfinite(ends).all():
             ax.fill_between(grid, *ends, color=colour, alpha=0.18, lw=0)
         ax.plot(*np.array([line[-1] for line in lines]).T, "o", color=colour, ms=3, alpha=0.7)
+    if mark is not None:
+        ax.axvline(mark / scale, color=INK, lw=0.8, ls="--")
     ax.set(xlabel=label, ylabel="return")
     legend(ax)
     return figure if found else None
@@ -150,12 +175,6 @@ def improvements(groups: Mapping[str, Sequence[Run]]) -> Figure | None:
     return figure
 
 
-def typical(runs: Sequence[Run]) -> Run | None:
-    """Of the runs that have a trace the one whose return is the median one, or just below."""
-    traced = sorted((r for r in runs if r.trace is not None and r.evaluation), key=lambda r: r.value("return_mean"))
-    return traced[(len(traced) - 1) // 2] if traced else None
-
-
 def joint_pairs(robot: Robot) -> list[tuple[str, str]]:
     """Joints of the first leg that has a mirror image, from the hip down, each with its mirror image."""
     for leg in robot.legs:
@@ -173,7 +192,7 @@ def joint_traces(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
         for name, colour in ((first, RIGHT), (second, LEFT)):
             angle = trace[f"angle_{name}_rad"][late] * (1.0 if name == first else robot.mirror_sign(second))
             ax.plot(trace["time_s"][late], angle, color=colour, lw=1.4, label=name.replace("_", " "))
-        legend(ax, above=True)
+        legend(ax)
         ax.set_ylabel("rad")
     axes[-1, 0].set_xlabel("time, s")
     return figure
@@ -183,14 +202,14 @@ def body_height(groups: Mapping[str, Sequence[Run]]) -> Figure:
     """Body height over the last seconds of each group's typical run."""
     figure, axes = new()
     for (group, runs), colour in zip(groups.items(), colours(list(groups)).values(), strict=True):
-        run = typical(runs)
+        run = typical(with_trace(runs))
         if run is not None and run.trace is not None:
             late = _late(run.trace)
             time = run.trace["time_s"][late]
             axes[0, 0].plot(time - time[-1], run.trace["height_m"][late], color=colour, lw=1.3, label=group)
     axes[0, 0].axhline(0.0, color=INK, lw=0.6, ls=":")
     axes[0, 0].set(xlabel="time before the end, s", ylabel="height from standing, m")
-    legend(axes[0, 0], above=True)
+    legend(axes[0, 0])
     return figure
 
 
@@ -214,9 +233,9 @@ def contacts(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
 
 
 def phase_portraits(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
-    """Velocity over angle of each joint, right and left, past the first third: a closed loop repeats itself."""
+    """Velocity over angle of each joint, right and left, over the last strides: a closed loop repeats itself."""
     pairs = joint_pairs(robot)
-    settled = slice(len(trace["time_s"]) // 3, None)
+    settled = _late(trace, STRIDES_SECONDS)
     figure, axes = new(1, len(pairs), height=2.1)
     for ax, (first, second) in zip(axes[0], pairs, strict=True):
         for name, colour in ((first, RIGHT), (second, LEFT)):
@@ -240,8 +259,8 @@ def _few_ticks(ax: Axes) -> None:
     ax.tick_params(labelsize=8)
 
 
-def _late(trace: Mapping[str, np.ndarray]) -> np.ndarray:
-    return np.asarray(trace["time_s"] > trace["time_s"][-1] - SECONDS)
+def _late(trace: Mapping[str, np.ndarray], seconds: float = SECONDS) -> np.ndarray:
+    return np.asarray(trace["time_s"] > trace["time_s"][-1] - seconds)
 
 
 def _escaped(text: str) -> str:

@@ -40,6 +40,17 @@ def groups_of(runs: Sequence[Run]) -> dict[str, list[Run]]:
     return {name: sorted(named[name], key=lambda run: run.seed) for name in order}
 
 
+def typical(runs: Sequence[Run]) -> Run | None:
+    """Of the runs that were judged the one whose return is the median one, or just below."""
+    known = sorted((run for run in runs if run.evaluation), key=lambda run: run.value("return_mean"))
+    return known[(len(known) - 1) // 2] if known else None
+
+
+def with_trace(runs: Sequence[Run]) -> list[Run]:
+    """Those that have a trace."""
+    return [run for run in runs if run.trace is not None]
+
+
 def differences(runs: Sequence[Run]) -> dict[str, list[Any]]:
     """Keys in which configurations differ, the seeds aside, with each run's value."""
     keys = sorted({key for run in runs for key in run.config} - set(SEEDS))

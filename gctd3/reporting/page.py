@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 
 from gctd3.reporting.figures import Picture
 from gctd3.reporting.tables import Table
+from gctd3.reporting.verdict import NOTHING
 
 CSS = """
 :root { color-scheme: light dark; --paper: #ffffff; --ink: #1c1f24; --soft: #5c6470; --line: #d8dce2; --card: #f6f7f9; }
@@ -27,18 +29,32 @@ ul.verdict { padding: 0.8rem 1rem 0.8rem 2rem; background: var(--card); border: 
   border-radius: 8px; } ul.verdict li { margin: 0.35rem 0; }
 .grid { display: grid; gap: 1rem; align-items: start;
   grid-template-columns: repeat(auto-fit, minmax(min(100%, 21rem), 1fr)); }
+.row { margin-top: 1rem; } .column { display: grid; gap: 1rem; align-content: start; }
 figure { margin: 0; padding: 0.8rem; background: var(--card); border: 1px solid var(--line); border-radius: 8px; }
 figure svg, figure img { display: block; width: 100%; height: auto; color: var(--ink); }
 figure img { border-radius: 4px; }
 .scroll { overflow-x: auto; border: 1px solid var(--line); border-radius: 8px; }
 table { border-collapse: collapse; width: 100%; font-size: 0.875rem; font-variant-numeric: tabular-nums; }
 small { color: var(--soft); }
-th, td { text-align: left; padding: 0.35rem 0.7rem; border-bottom: 1px solid var(--line); vertical-align: top; }
-th { background: var(--card); font-weight: 600; white-space: nowrap; } tr:last-child td { border-bottom: 0; }
-td { white-space: nowrap; } td.long { white-space: normal; min-width: 14rem; color: var(--soft); }
+th, td { text-align: left; padding: 0.35rem 0.5rem; border-bottom: 1px solid var(--line); vertical-align: top; }
+th { background: var(--card); font-weight: 600; } tr:last-child td { border-bottom: 0; }
+td { white-space: nowrap; } td.long { white-space: normal; min-width: 13rem; color: var(--soft); }
 td:first-child { position: sticky; left: 0; background: var(--paper); }
 @media (max-width: 40rem) { td:first-child { white-space: normal; min-width: 7.5rem; } }
 """
+
+
+@dataclass(frozen=True)
+class Row:
+    """Pictures that belong together, beside one another where there is room.
+
+    Attributes:
+        columns: In each the pictures from top to bottom.
+    """
+
+    columns: Sequence[Sequence[Picture]]
+
+
 LONG = 30  # letters from which a cell may break
 
 
@@ -66,10 +82,16 @@ def page(title: str, about: str, sentences: Sequence[str], sections: Sequence[tu
 def _section(name: str, things: Sequence[object]) -> str:
     pictures = [thing for thing in things if isinstance(thing, Picture)]
     tables = [thing for thing in things if isinstance(thing, Table)]
+    rows = "".join(_row(thing) for thing in things if isinstance(thing, Row))
     notes = "".join(f'<p class="note">{escape(thing)}</p>\n' for thing in things if isinstance(thing, str))
     drawn = "".join(map(_figure, pictures))
     grid = f'<div class="grid">{drawn}</div>' if drawn else ""
-    return f'<h2 id="{_anchor(name)}">{escape(name)}</h2>\n{"".join(map(_table, tables))}{notes}{grid}\n'
+    return f'<h2 id="{_anchor(name)}">{escape(name)}</h2>\n{"".join(map(_table, tables))}{notes}{grid}{rows}\n'
+
+
+def _row(row: Row) -> str:
+    columns = "".join(f'<div class="column">{"".join(map(_figure, column))}</div>' for column in row.columns if column)
+    return f'<div class="grid row">{columns}</div>\n' if columns else ""
 
 
 def _figure(picture: Picture) -> str:
@@ -95,9 +117,9 @@ def _cell(text: str) -> str:
 
 
 def _sentence(text: str) -> str:
-    """A sentence with what it says in bold, and the numbers behind it plain."""
+    """A sentence with what it shows in bold, and the numbers behind it plain."""
     parts = text.split(": ", 2)
-    if len(parts) < 3:
+    if len(parts) < 3 or NOTHING in parts[1]:
         return f"<li>{escape(text)}</li>"
     return f"<li><strong>{escape(': '.join(parts[:2]))}</strong>: {escape(parts[2])}</li>"
 

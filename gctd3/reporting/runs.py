@@ -17,7 +17,7 @@ from tqdm import tqdm
 from gctd3.errors import GCTD3Error, RunError
 from gctd3.evaluate import EVALUATION, ROBUSTNESS, TRACE, EvaluateSettings, evaluate_run
 from gctd3.evaluation import Judging
-from gctd3.files import read_manifest
+from gctd3.files import MANIFEST, read_manifest
 from gctd3.run_config import CONFIG, OVERRIDES, flat, load_config, load_settings
 from gctd3.run_log import PROGRESS
 from gctd3.train_settings import StopWhen
@@ -30,6 +30,8 @@ TOGETHER = {
     "evaluation reward": ("evaluation.reward",),
     "endings": ("env.endings",),
 }
+# All that is read of a run, but for its policy.
+READ = (CONFIG, OVERRIDES, *map(Path, (PROGRESS, EVALUATION, TRACE, ROBUSTNESS)), Path(POST_MORTEM) / MANIFEST)
 
 
 @dataclass(frozen=True)
@@ -70,12 +72,30 @@ class Run:
     @property
     def minutes(self) -> float:
         """From the beginning to its last evaluation, NaN if there was none."""
-        return self.rows[-1]["wall_s"] / 60.0 if self.rows else math.nan
+        return self.rows[-1].get("wall_s", math.nan) / 60.0 if self.rows else math.nan
 
     @property
     def minutes_to_finish(self) -> float:
         """Until the first evaluation in which every episode reached the finish; NaN if there was none."""
-        return next((row["wall_s"] / 60.0 for row in self.rows if row.get("success_rate", 0.0) >= 1.0), math.nan)
+        return self.finished[0].get("wall_s", math.nan) / 60.0 if self.finished else math.nan
+
+    @property
+    def finished(self) -> list[Mapping[str, float]]:
+        """Its evaluations in training in which every episode reached the finish."""
+        return [row for row in self.rows if row.get("success_rate", 0.0) >= 1.0]
+
+    @property
+    def rule(self) -> StopWhen:
+        """By which it ranked its policies."""
+        at_least, at_most = (
+            {
+                key.rpartition(".")[2]: value
+                for key, value in self.config.items()
+                if key.startswith(f"stop_when.{side}.")
+            }
+            for side in ("at_least", "at_most")
+        )
+        return StopWhen(at_least, at_most)
 
     def value(self, key: str) -> float:
         """A number of its evaluation, of the gait if it is not at the top; NaN if it is missing or undefined."""
@@ -134,15 +154,8 @@ def _trouble(run: Run) -> str | None:
 def _reached(run: Run) -> bool:
     """Whether its last evaluations show what ``stop_when`` asks for."""
     wanted = run.config.get("stop_when.evaluations")
-    bounds = {
-        side: {
-            key.rpartition(".")[2]: value for key, value in run.config.items() if key.startswith(f"stop_when.{side}.")
-        }
-        for side in ("at_least", "at_most")
-    }
-    shown = StopWhen(bounds["at_least"], bounds["at_most"])
     late = run.rows[-wanted:] if wanted else []
-    return bool(late) and len(late) == wanted and all(map(shown.all_reached, late))
+    return bool(late) and len(late) == wanted and all(map(run.rule.all_reached, late))
 
 
 def judged(run: Run) -> Run:
@@ -229,7 +242,7 @@ def _evaluate(run: Run, judging: Judging) -> Run:
         shared = {item.name: getattr(judging, item.name) for item in fields(Judging)}
         evaluate_run(EvaluateSettings(str(run.directory), reward, **shared))
     except GCTD3Error as error:
-        return replace(run, failure=str(error))
+        return replace(run, failure=str(error).replace(f"{run.directory}/", ""))
     return judged(run)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from gctd3.reporting.clock import Limit, reached_by
 from gctd3.reporting.groups import differences
 from gctd3.reporting.runs import Run
 from gctd3.reporting.statistics import interval
@@ -122,7 +123,48 @@ def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: b
         "seeds with its 95 % interval. The paper's ± is over 50 episodes of one training, in another simulator: not "
         "like for like. Its body position seems to count from the height at which the robot is dropped"
         + (f", {drop:.4f} m above standing." if np.isfinite(drop) else "."),
-        ("", "seeds judged", "return", "return, IQM", "body from standing, m", "from spawn, m", "m/s, IQM", "success"),
+        (
+            "",
+            "seeds judged",
+            "return, mean ± sd",
+            "return, IQM",
+            "body from standing, m",
+            "body from spawn, m",
+            "velocity, m/s, IQM",
+            "success",
+        ),
+        rows,
+    )
+
+
+def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
+    """Return, success, frames and updates that each group had reached at ``limit``."""
+    columns = (("return_mean", 1.0, 1), ("success_rate", 1.0, 2), ("frames", 1e-3, 1), ("updates", 1e-3, 1))
+    rows = []
+    for group, known in reached_by(groups, limit.seconds).items():
+        cells = [interval([scale * getattr(one, key) for one in known]) for key, scale, _ in columns]
+        said = [cell.text(column[-1]) if known else "-" for cell, column in zip(cells, columns, strict=True)]
+        seeds = f"{len(known)} of {len(groups[group])}"
+        rows.append([group, seeds, *said, _number(limit.medians[group] / 60.0, 2)])
+    return Table(
+        "equal_time",
+        "At equal wall-clock",
+        f"What each run had reached after {limit.text} of wall-clock: the median training time of {limit.group}, the "
+        "shortest of all groups' (of runs that came to their end). Return and success are those of the policy that "
+        "the run would have kept if it had been stopped then, which is the one that stop_when ranks first of those "
+        "evaluated until then. They are of evaluations in training, by which that policy was chosen: not of Table 5's "
+        "episodes, and rather too high. Frames and updates are interpolated between evaluations; a run that ended "
+        "sooner stays as it was. Interquartile means over seeds with 95 % intervals. Wall-clock depends on the machine "
+        "and on what else ran there.",
+        (
+            "",
+            "seeds evaluated",
+            "return, IQM",
+            "success, IQM",
+            "frames, thousands",
+            "updates, thousands",
+            "training, min, median",
+        ),
         rows,
     )
 
