@@ -118,7 +118,7 @@ def test_ground_and_load_change_the_walk(page):
         return pushed(page, 4)[0] - pushed(page, 0)[0]
 
     light = gained()
-    # Of its own mass.
+    # About as much as the robot weighs.
     fill(page, "Payload, kg", 10)
     assert 0.3 < gained() / light < 0.7
     fill(page, "Payload, kg", 0)
