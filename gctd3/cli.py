@@ -26,6 +26,7 @@ from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
 from gctd3.usage import CONF, asks_for_help, check_installed, command_of, fail, help_of
 
 INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
+UNREAD = 141  # and of one whose output nobody reads
 _JOBLIB = ("hydra/launcher", "joblib")  # an option only where the plugin is installed
 _WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException)
 _USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError)
@@ -53,8 +54,7 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
         print("\nInterrupted.", file=sys.stderr)
         raise SystemExit(INTERRUPTED) from None
     except BrokenPipeError:
-        # Whoever read the output (`| head`) has had enough; closing stderr keeps Python from complaining at exit.
-        sys.stderr.close()
+        _unread()
     except _USER_ERRORS as error:
         fail(explain(error, config))
     except (AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
@@ -95,6 +95,8 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
     def guarded(settings: DictConfig) -> object:
         try:
             return task(settings)
+        except BrokenPipeError:
+            _unread()
         except _USER_ERRORS as error:
             _refuse(error, config)
         except RuntimeError as error:
@@ -119,6 +121,13 @@ def _refuse(error: Exception, config: str) -> NoReturn:
     if sweeping and not str(hydra_config.launcher.get("_target_")).startswith("hydra._internal"):
         raise RunError(said) from None  # for the process that started the sweep to say
     fail(said)
+
+
+def _unread() -> NoReturn:
+    """End the program without a word: whoever read its output (``| head``) has had enough."""
+    # Python writes what it still holds when it ends, and would complain.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    raise SystemExit(UNREAD)
 
 
 def _remove_empty(directory: Path) -> None:

@@ -102,7 +102,7 @@ class Panel:
     # The page.
 
     def _open(self, run: str, live: LiveWalk) -> None:
-        self.live = live
+        self.shown, self.live = run, live
         self._trace: deque[tuple[float, ...]] = deque(maxlen=round(TRACE / live.control_dt))
         self._remember(live.now)
         self.server.gui.reset()
@@ -135,8 +135,8 @@ class Panel:
         self._on(reset.on_click, self._reset)
         self._on(speed.on_update, lambda: setattr(self, "speed", speed.value))
         self._on(follow.on_update, lambda: setattr(self._scene, "camera_tracking_enabled", follow.value))
-        choice = gui.add_dropdown("Run", options=self.runs, initial_value=run)
-        self._on(choice.on_update, lambda: self._choose(choice.value))
+        self._choice = gui.add_dropdown("Run", options=self.runs, initial_value=run)
+        self._on(self._choice.on_update, lambda: self._choose(self._choice.value))
         with gui.add_folder("Push and change"):
             self._changes()
         with gui.add_folder("Joints, rad"):
@@ -175,10 +175,12 @@ class Panel:
         register(lambda event: self._wishes.put(wish))
 
     def _choose(self, run: str) -> None:
+        if run == self.shown:
+            return
         try:
             live = self._load(run)
         except GCTD3Error as error:
-            self._said = str(error)
+            self._said, self._choice.value = str(error), self.shown
             return
         self._said = ""
         self._open(run, live)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 from PIL import Image
 from torchrl.record.loggers import Logger, get_logger
+from torchrl.record.loggers.mlflow import MLFlowLogger
 
 from gctd3.checkpoint import FOLDER
 from gctd3.errors import ConfigError, RunError
@@ -18,23 +21,37 @@ from gctd3.film import gif, write_animation
 from gctd3.train_settings import COLUMNS
 
 PROGRESS, VIDEOS, CLIP_NAME = "progress.csv", "videos", "evaluation/walk"
+PROJECT = "gctd3"  # what wandb's project and mlflow's experiment are called
 
 
 class RunLog:
-    """Rows and scalars of a run.
+    """Rows and scalars of a run. A context manager, at whose end the logger's run ends too.
 
     Args:
         directory: Where to write.
         kind: ``csv``, ``tensorboard``, ``wandb``, ``mlflow`` or ``none``.
 
     Raises:
-        ConfigError: If the logger's package is not installed.
+        ConfigError: If the logger's package is not installed, or it cannot begin.
     """
 
     def __init__(self, directory: Path, kind: str) -> None:
         self.directory, self.kind = directory, kind
         self.rows: list[dict[str, Any]] = []
         self._logger = make_logger(kind, directory)
+
+    def __enter__(self) -> RunLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.kind == "wandb" and self._logger is not None:
+            self._logger.experiment.finish(exit_code=int(error is not None))
+        elif self.kind == "mlflow":
+            import mlflow
+
+            mlflow.end_run("FINISHED" if error is None else "FAILED")
 
     def add_row(self, metrics: Mapping[str, float]) -> None:
         """Append a row to ``progress.csv`` and its values to the logger."""
@@ -68,11 +85,12 @@ class RunLog:
         elif self.kind == "wandb":
             import wandb
 
-            self._logger.experiment.log({CLIP_NAME: wandb.Video(str(path), format="mp4")})
+            # As TorchRL does with numbers: steps are a metric of their own.
+            self._logger.experiment.define_metric(CLIP_NAME, step_metric="evaluation/step")
+            self._logger.experiment.log({CLIP_NAME: wandb.Video(str(path), format="mp4"), "evaluation/step": step})
         elif self.kind == "mlflow":
             import mlflow
 
-            mlflow.set_experiment(experiment_id=self._logger.id)
             mlflow.log_artifact(str(path), VIDEOS)
 
     def restore(self, rows: list[dict[str, Any]], frames: int) -> None:
@@ -107,17 +125,45 @@ def _step(line: str) -> float:
 
 
 def make_logger(kind: str, directory: Path) -> Logger | None:
-    """A TorchRL logger that writes below ``directory``.
+    """A TorchRL logger that writes below ``directory``; mlflow's writes where ``MLFLOW_TRACKING_URI`` says.
 
     Raises:
-        ConfigError: If its package is not installed.
+        ConfigError: If its package is not installed, or it cannot begin.
     """
     if kind == "none":
         return None
     try:
+        if kind == "wandb":
+            about = {"project": PROJECT, "log_env_packages": False}
+            return get_logger(kind, logger_name=str(directory), experiment_name=_name(directory), wandb_kwargs=about)
+        if kind == "mlflow":
+            return _mlflow(directory)
         return get_logger(kind, logger_name=str(directory), experiment_name=kind)
     except (ImportError, ModuleNotFoundError) as error:
         raise ConfigError(f"logger={kind} needs its package: pip install 'gctd3[{kind}]' ({error}).") from error
+    except Exception as error:
+        if kind not in ("wandb", "mlflow"):
+            raise
+        # Theirs share no base class: no account, no server.
+        said = str(error).strip() or type(error).__name__
+        raise ConfigError(f"logger={kind} cannot begin: {said.splitlines()[0]}") from error
+
+
+def _mlflow(directory: Path) -> Logger:
+    import mlflow
+
+    # What it says of making a database.
+    for name in ("mlflow.store.db.utils", "alembic.runtime.migration"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    logger = MLFlowLogger(exp_name=PROJECT, tracking_uri=mlflow.get_tracking_uri())
+    mlflow.set_tag("mlflow.runName", _name(directory))
+    return logger
+
+
+def _name(directory: Path) -> str:
+    """Of a run among others."""
+    here = Path.cwd()
+    return str(directory.relative_to(here) if directory.is_relative_to(here) else directory.name)
 
 
 def refuse_a_run(directory: Path) -> None:

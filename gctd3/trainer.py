@@ -116,6 +116,7 @@ class Trainer:
         limit = math.inf if self.settings.time_limit is None else 60.0 * self.settings.time_limit
         shown = {"unit": " steps", "unit_scale": True, "smoothing": 0.05, "mininterval": 0.5, "dynamic_ncols": True}
         with (
+            self.log,
             contextlib.closing(self.collector),
             tqdm(total=self.settings.total_frames, initial=self.counters.frames, **shown) as bar,
         ):

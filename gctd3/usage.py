@@ -91,7 +91,7 @@ def overview() -> str:
             *rows,
             "",
             "Each takes key=value arguments and says which with --help. Scripts do the same: gctd3-train and so on.",
-            "To begin:  python -m gctd3.train algo=gctd3",
+            "To begin:  python -m gctd3.view, to see it walk, and python -m gctd3.train algo=gctd3, to train it.",
         ]
     )
 

@@ -23,6 +23,7 @@ from gctd3.run_config import find_run
 from gctd3.settings import build
 
 PACKAGES = ("viser", "mjviser")
+SHIPPED = "shipped with gctd3"  # what the policy in the package is called among runs
 
 
 @dataclass(frozen=True)
@@ -53,23 +54,24 @@ class ViewSettings:
 
 
 def open_walk(run: str, settings: ViewSettings) -> LiveWalk:
-    """A run's policy, ready to walk.
+    """The policy of one of the :func:`choices`, ready to walk.
 
     Raises:
         RunError: If it is no run, or not of the walking task.
     """
-    policy, robot, env = load_walk(run)
+    policy, robot, env = load_walk(None if run == SHIPPED else run)
     if settings.endless:
         env = replace(env, endings=endless(env.endings))
     return LiveWalk(policy, robot, env, settings.seed)
 
 
-def choices(run: str, runs: str) -> list[str]:
-    """The run, then all others with a policy below a directory, newest first."""
+def choices(run: str | None, runs: str) -> list[str]:
+    """The run, then all others with a policy below a directory, newest first, and the one in the package."""
     there = [path.parent for path in Path(runs).rglob("checkpoints") if path.is_dir()]
     others = sorted((path for path in there if _has_policy(path)), key=lambda path: path.stat().st_mtime, reverse=True)
-    mine = Path(run).resolve()
-    return [run, *(str(path) for path in others if path.resolve() != mine)]
+    mine = find_run(run).resolve()
+    found = [str(path) for path in others if path.resolve() != mine]
+    return [SHIPPED, *found] if run is None else [run, *found, SHIPPED]
 
 
 def _has_policy(run: Path) -> bool:
@@ -109,8 +111,8 @@ def view(settings: ViewSettings) -> None:
     """
     check_packages()
     check_port(settings.host, settings.port)
-    named = str(find_run(settings.run))
-    first = open_walk(named, settings)
+    names = choices(settings.run, settings.runs)
+    first = open_walk(names[0], settings)
     import rich
     import viser
 
@@ -122,8 +124,7 @@ def view(settings: ViewSettings) -> None:
     logging.getLogger("websockets").setLevel(logging.WARNING)
     server = viser.ViserServer(host=settings.host, port=settings.port, label="gctd3", verbose=False)
     try:
-        names = choices(named, settings.runs)
-        loaded = {named: first}
+        loaded = {names[0]: first}
         panel = Panel(server, lambda run: loaded.pop(run, None) or open_walk(run, settings), names, settings.seed)
         _announce(settings, server.get_port())
         with contextlib.suppress(KeyboardInterrupt):
@@ -134,7 +135,7 @@ def view(settings: ViewSettings) -> None:
 
 def _announce(settings: ViewSettings, port: int) -> None:
     url = f"http://{settings.host}:{port}"
-    print(f"{settings.run or 'The policy that ships with gctd3'} walks at {url}; Ctrl-C ends it.", flush=True)
+    print(f"{settings.run or f'The policy {SHIPPED}'} walks at {url}; Ctrl-C ends it.", flush=True)
     screen = platform.system() != "Linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
     if settings.browser and not (screen and webbrowser.open(url)):
         print(

@@ -2,6 +2,8 @@
 
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -104,6 +106,14 @@ def test_ctrl_c_ends_a_command_with_a_line(capsys, monkeypatch):
     monkeypatch.setattr("gctd3.robot.Robot.from_mjcf", interrupted)
     assert command("graph", "robot=biped") == 130
     assert capsys.readouterr().err == "\nInterrupted.\n"
+
+
+def test_output_that_nobody_reads_is_no_error():
+    call = [sys.executable, "-m", "gctd3.graph", "robot=biped"]
+    with subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as cut:
+        cut.stdout.close()
+        assert cut.stderr.read() == b""
+    assert cut.returncode == 141
 
 
 MJCF = {

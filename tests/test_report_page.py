@@ -1,14 +1,10 @@
 """The report's page in a browser, where there is one: offline, narrow and wide, light and dark."""
 
-import shutil
-
 import pytest
+from browsers import chromium
 from test_report import examined, make
 
 pytest.importorskip("rliable")
-api = pytest.importorskip("playwright.sync_api")
-BROWSER = next(filter(None, map(shutil.which, ("chromium-headless-shell", "chromium", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium")
 
 
 @pytest.fixture(scope="module")
@@ -24,10 +20,8 @@ def page_file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser():
-    with api.sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+    with chromium() as opened:
         yield opened
-        opened.close()
 
 
 @pytest.mark.parametrize("width", [360, 1280])
