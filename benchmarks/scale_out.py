@@ -25,7 +25,7 @@ from pathlib import Path
 
 import torch
 from common import options, report
-from gait_table import passes, read_progress
+from gait_table import RETURN, passes, read_progress
 from hydra import compose, initialize_config_module
 from tensordict import TensorDict
 from tqdm import tqdm
@@ -37,6 +37,10 @@ CORES = (10, 100, 1000)
 # No warm-up, evaluation or checkpoint comes in between.
 STEADY = ["logger=none", "exploration.warmup_frames=0", "evaluation.every=1_000_000_000", "checkpoint_every=1e9"]
 STEADY += ["total_frames=1_000_000_000"]
+# A training that ends with the first evaluation that gait_table.passes, whatever else it would be asked for.
+FIRST_GAIT = ["stop_when.evaluations=1", f"stop_when.at_least.return_mean={RETURN}"]
+FIRST_GAIT += ["~stop_when.at_least.velocity_mean", "~stop_when.at_least.stride_hz", "~stop_when.at_most.stride_hz"]
+FIRST_GAIT += ["~stop_when.at_most.hip_correlation", "~stop_when.at_most.flight_fraction"]
 
 
 @dataclass(frozen=True)
@@ -138,7 +142,7 @@ def minutes_to_gait(collector: str, workers: int, seed: int, cap: float, more: l
     """Minutes of training until an evaluation is a walk; infinite if none was within the cap."""
     with tempfile.TemporaryDirectory() as directory:
         run = Path(directory) / "run"
-        given = [*arguments(collector, workers), f"seed={seed}", f"time_limit={cap}", "logger=none", *more]
+        given = [*arguments(collector, workers), f"seed={seed}", f"time_limit={cap}", "logger=none", *FIRST_GAIT, *more]
         subprocess.run([sys.executable, "-m", "gctd3.train", *given, f"hydra.run.dir={run}"], check=True)
         walks = [row["wall_s"] / 60 for row in read_progress(run / "progress.csv") if passes(row)]
         return walks[0] if walks else math.inf
