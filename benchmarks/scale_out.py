@@ -151,15 +151,16 @@ def minutes_to_gait(collector: str, workers: int, seed: int, cap: float, more: l
 def sizing(measured: list[Rates]) -> list[str]:
     """Lines of a table for other numbers of cores: what workers would collect, and whether the learner keeps up.
 
-    One core is the learner's, each of the others a worker's. A worker is taken to collect as fast as the slowest of
-    those that were measured; messages grow with the number of workers, so that each still steps as many robots.
+    One core is the learner's, each of the others a worker's. A worker is taken to collect as fast as in the measurement
+    with the fewest, where each is the likeliest to have a core; messages grow with the number of workers, so that each
+    still steps as many robots.
     """
     beside = [rates for rates in measured if rates.workers]
     if not beside:
         raise SystemExit("sizing needs a measurement with workers")
-    each = min(rates.collected / rates.workers for rates in beside)
+    one = min(beside, key=lambda rates: rates.workers)
+    each = one.collected / one.workers
     learnt = max(rates.learnt for rates in measured)
-    one = beside[0]
     share = one.batch_frames / one.workers  # env steps in a message of one worker
     lines = [
         f"A worker collects {each:,.0f} steps/s; the learner does {learnt:,.0f} updates/s.",

@@ -22,7 +22,9 @@ def test_sizing_is_arithmetic_on_what_was_measured(scale_out):
     inline = scale_out.Rates(0, 3000.0, 110.0, 900.0, 56.25, 1 / 16, 64, 400_000, 1000.0)
     # 100 updates/s suffice for 1,600 steps/s: fewer than are collected.
     assert two.learner_limit == 1600.0 and two.limit == "learner"
-    each, _, ten, hundred, thousand, last = scale_out.sizing([inline, two])
+    # Of more workers than cores nothing is taken over.
+    crowded = scale_out.Rates(8, 1600.0, 100.0, 1200.0, 75.0, 1 / 16, 256, 400_000, 1000.0)
+    each, _, ten, hundred, thousand, last = scale_out.sizing([inline, crowded, two])
     assert each == "A worker collects 1,000 steps/s; the learner does 110 updates/s."
     # 9 workers: 9,000 steps/s, and so at most 110 / 9,000 updates a step. A message of one worker has 128 steps:
     # 70.3 messages/s of 0.4 MB each.
