@@ -24,9 +24,8 @@ AT_LIMIT = (("return_mean", "return", 1, "returns more"), ("success_rate", "succ
 # What makes the same training slower or faster.
 COMPUTING = ("threads", "env.threads", "device")
 NOTHING = "no difference shown"
-MANY = (
-    5  # comparisons from which chance is worth a word: at five seeds it shows a difference in 1 of 50 of alike groups
-)
+# Comparisons from which chance is worth a word: with five seeds it shows a difference in 1 of 50 of alike groups.
+MANY = 5
 
 
 def scores(runs: Sequence[Run], key: str) -> list[float]:
