@@ -1,6 +1,6 @@
 """The kinematic graph of a robot, and the matrices that graph convolutions multiply by.
 
-Stage two of the data flow. Pure NumPy. Symbols used throughout the library:
+Stage two of the data flow. NumPy, but for what other libraries take. Symbols used throughout the library:
 
 * ``N``: nodes of the graph, ``F``: features of a node (per frame times frames), ``A``: actions, ``J``: joints,
 * ``*``: any number of leading (batch) dimensions.
@@ -15,16 +15,20 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
+from gctd3.base import Axis
 from gctd3.errors import RobotError
 from gctd3.nodes import GROUND as GROUND
 from gctd3.nodes import PRESETS as PRESETS
 from gctd3.nodes import adjacency_of, read_adjacency, read_nodes
 from gctd3.robot import Robot
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +82,7 @@ class KinematicGraph:
         preset: str = "tree",
         seed: int = 0,
         feet: Sequence[str] | None = None,
+        forward: Axis | None = None,
     ) -> KinematicGraph:
         """The graph of any robot: an MJCF file, a model in memory, or one that ships with the library (``"biped"``).
 
@@ -86,11 +91,12 @@ class KinematicGraph:
             preset: See :meth:`from_robot`.
             seed: See :meth:`from_robot`.
             feet: Names of the bodies (or of their geoms) that may touch the ground; see :func:`.find_feet` if ``None``.
+            forward: Where forward is: ``x``, ``-x``, ``y`` or ``-y``; see :func:`.find_forward` if ``None``.
 
         Raises:
             RobotError: If the source is not a robot, or the preset is unknown.
         """
-        return cls.from_robot(Robot.from_mjcf(source, feet), preset, seed)
+        return cls.from_robot(Robot.from_mjcf(source, feet, forward), preset, seed)
 
     @classmethod
     def from_robot(cls, robot: Robot, preset: str = "tree", seed: int = 0) -> KinematicGraph:
@@ -196,15 +202,17 @@ class KinematicGraph:
 
     # For other libraries and for people.
 
-    def edge_index(self) -> np.ndarray:
-        """Edges as torch_geometric wants them: sources over targets, an undirected edge both ways. ``int64 [2, E]``.
+    def edge_index(self) -> Tensor:
+        """Edges as torch_geometric takes them: sources over targets, an undirected edge both ways. ``int64 [2, E]``.
 
         Example:
             >>> KinematicGraph.from_edges(["a", "b"], [("a", "b")]).edge_index().tolist()
             [[1, 0], [0, 1]]
         """
+        import torch  # late: a graph needs it for nothing else
+
         # A[i, j]: node i takes in node j, so j is the source.
-        return np.ascontiguousarray(np.argwhere(self.adjacency).T[::-1]).astype(np.int64)
+        return torch.from_numpy(np.ascontiguousarray(np.argwhere(self.adjacency).T[::-1], dtype=np.int64))
 
     def to_networkx(self) -> Any:  # noqa: ANN401 - networkx is optional
         """A ``networkx.Graph`` (a ``DiGraph`` from source to target if directed) with the nodes' kinds and mirrors.

@@ -54,15 +54,17 @@ class Reflection:
         frame: Of the nodes' features in one frame, node after node; length ``N * features``.
         action: Length ``A``.
         counters: Of what only the critics see; twice as long as there are feet.
+        static: Features of a node behind all frames that never change.
     """
 
     features: int
     frame: SignedPermutation
     action: SignedPermutation
     counters: SignedPermutation
+    static: int = 0
 
     @classmethod
-    def from_robot(cls, robot: Robot, features: int = 2) -> Reflection:
+    def from_robot(cls, robot: Robot, features: int = 2, static: int = 0) -> Reflection:
         """The reflection of a robot in the walking task.
 
         Joints change places with their mirror images and their angles and velocities their signs, as the joints' axes
@@ -72,8 +74,17 @@ class Reflection:
         Args:
             robot: The robot.
             features: Features of a node in one frame.
+            static: Features of a node behind all frames that never change, as :meth:`.NodeSensor.static` has them.
+
+        Raises:
+            RobotError: If the robot has a ball joint.
         """
         graph = KinematicGraph.from_robot(robot)
+        if balls := [name for name, kind in zip(graph.nodes, graph.kinds, strict=True) if kind == "ball"]:
+            raise RobotError(
+                f"{robot.path}: a ball joint's rotation has no reflection here, so replay.mirror and equivariant must "
+                f"be false; ball joints: {', '.join(balls)}."
+            )
         source = np.arange(graph.num_nodes * features).reshape(graph.num_nodes, features)[list(graph.mirror)]
         sign = np.ones(source.shape)
         extra = iter(robot.base.extra)
@@ -93,22 +104,34 @@ class Reflection:
             counters=SignedPermutation(
                 np.concatenate([feet, len(feet) + feet]), np.array([1.0] * len(feet) + hip_sign)
             ),
+            static=static,
         )
 
     def nodes(self, width: int) -> SignedPermutation:
-        """Of stacked frames, node after node, each node's frames from the oldest to the newest.
+        """Of stacked frames, node after node, each node's frames from the oldest to the newest, then what is static.
+
+        That says which joint a node is, and in the mirror it is the same joint: it stays.
 
         Args:
-            width: Features of a node over all frames.
+            width: Features of a node over all frames, and those that never change.
 
         Raises:
-            ValueError: If ``width`` is not a whole number of frames.
+            ValueError: If ``width`` is not a whole number of frames and the static features.
         """
-        history, rest = divmod(width, self.features)
-        if rest:
-            raise ValueError(f"Nodes of {self.features} features a frame cannot be {width} features wide.")
+        history, rest = divmod(width - self.static, self.features)
+        if rest or history < 1:
+            behind = f" and {self.static} that never change" if self.static else ""
+            raise ValueError(
+                f"Nodes of {self.features} features a frame{behind} cannot be {width} features wide; "
+                "features that never change are for Reflection.from_robot(robot, static=...) to name."
+            )
         shape = (-1, 1, self.features)
         node, feature = np.divmod(self.frame.source.reshape(shape), self.features)
         source = node * width + np.arange(history)[:, None] * self.features + feature
         sign = np.broadcast_to(self.frame.sign.reshape(shape), source.shape)
-        return SignedPermutation(source.reshape(-1), sign.reshape(-1).copy())
+        count = len(source)
+        still = np.arange(count * width).reshape(count, width)[:, history * self.features :]
+        return SignedPermutation(
+            np.concatenate([source.reshape(count, -1), still], axis=1).reshape(-1),
+            np.concatenate([sign.reshape(count, -1), np.ones(still.shape)], axis=1).reshape(-1),
+        )

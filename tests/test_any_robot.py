@@ -115,7 +115,7 @@ def test_mirrored_pose_is_the_reflected_pose(case):
 
 def test_graph_for_torch_geometric(case):
     _, graph, *_ = case
-    edges = torch.from_numpy(graph.edge_index())
+    edges = graph.edge_index()
     assert edges.dtype == torch.int64 and edges.shape == (2, int(graph.adjacency.sum())) and edges.is_contiguous()
     assert is_undirected(edges)
     np.testing.assert_array_equal(to_dense_adj(edges, max_num_nodes=graph.num_nodes)[0], graph.adjacency.T)

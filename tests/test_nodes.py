@@ -140,7 +140,7 @@ def test_a_ball_joint_widens_every_node():
     assert nodes[sensor.graph.nodes.index("knee")].tolist() == [0.75, 0.0, 0.0, -1.0, 0.0, 0.0]
     static = dict(zip(STATIC, sensor.static()[sensor.graph.nodes.index("knee")].tolist(), strict=True))
     mass = model.body("foot").mass[0] / model.body_mass.sum()
-    expected = {"hinge": 1.0, "actuated": 1.0, "lower": -1.0, "upper": 2.0, "mass": mass}
+    expected = {"hinge": 1.0, "actuated": 1.0, "limited": 1.0, "lower": -1.0, "upper": 2.0, "mass": mass}
     assert static == pytest.approx({name: expected.get(name, 0.0) for name in STATIC})
 
 

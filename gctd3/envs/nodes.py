@@ -6,6 +6,7 @@ robots, one robot each; several are a :class:`~torchrl.envs.SerialEnv` or :class
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -15,13 +16,15 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import CatFrames, Compose, DoubleToFloat, EnvBase, Transform, TransformedEnv
 
+from gctd3.base import Axis
 from gctd3.errors import ConfigError
 from gctd3.graph import KinematicGraph
 from gctd3.mjcf import body_name
 from gctd3.robot import Robot
 
 KINDS = ("root", "base", "hinge", "slide", "ball", "ground")
-STATIC = (*KINDS, "actuated", "lower", "upper", "mass")
+# An odd number, and a frame's is even: a network that takes them for frames finds that they are none.
+STATIC = (*KINDS, "actuated", "limited", "lower", "upper", "mass")
 
 
 class NodeSensor:
@@ -34,6 +37,8 @@ class NodeSensor:
 
     Args:
         model: The robot's model.
+        feet: Names of the bodies that may touch the ground, see :meth:`.Robot.from_mjcf`.
+        forward: Where forward is, likewise.
 
     Attributes:
         robot: What it was read as.
@@ -41,8 +46,8 @@ class NodeSensor:
         features: ``F``, features of a node in one frame.
     """
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.robot = Robot.from_mjcf(model)
+    def __init__(self, model: mujoco.MjModel, feet: Sequence[str] | None = None, forward: Axis | None = None) -> None:
+        self.robot = Robot.from_mjcf(model, feet, forward)
         self.graph = KinematicGraph.from_robot(self.robot)
         self._half = 3 if "ball" in self.graph.kinds else 1
         self.features = 2 * self._half
@@ -90,10 +95,10 @@ class NodeSensor:
         return np.array([foot in touching for foot in self._feet])
 
     def static(self) -> np.ndarray:
-        """What does not change, columns as in ``STATIC``, shape ``[N, 10]``.
+        """What does not change, columns as in ``STATIC``, shape ``[N, 11]``.
 
-        The node's kind as zeros and a one; whether an action moves it; its limits (rad or m, 0 where there is none);
-        the share of the robot's mass that its body has.
+        The node's kind as zeros and a one; whether an action moves it; whether it has limits; these (rad or m, 0 where
+        there is none); the share of the robot's mass that its body has.
         """
         model, robot, graph = self.robot.model, self.robot, self.graph
         bodies = [body_name(model, body) for body in range(model.nbody)]
@@ -105,6 +110,7 @@ class NodeSensor:
             columns["mass"][row] = model.body_mass[bodies.index(body)] / model.body_mass.sum()
         for row, joint in self._joints:
             limits = [limit if np.isfinite(limit) else 0.0 for limit in joint.range]
+            columns["limited"][row] = np.isfinite(joint.range).all()
             columns["lower"][row], columns["upper"][row] = limits
         return np.stack([columns[name] for name in STATIC], axis=1)
 
@@ -114,14 +120,16 @@ class Nodes(Transform):
 
     Args:
         env: The environment, see :func:`sensor_of`.
+        feet: See :class:`NodeSensor`.
+        forward: See :class:`NodeSensor`.
 
     Attributes:
         sensor: What reads them; its ``graph`` is that of the networks.
     """
 
-    def __init__(self, env: EnvBase) -> None:
+    def __init__(self, env: EnvBase, feet: Sequence[str] | None = None, forward: Axis | None = None) -> None:
         super().__init__(in_keys=[], out_keys=["nodes"])
-        self.__dict__["sensor"] = sensor_of(env)
+        self.__dict__["sensor"] = sensor_of(env, feet, forward)
         self.__dict__["_simulator"] = lambda: simulator(env)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -163,21 +171,32 @@ class StaticNodes(Transform):
         return observation_spec
 
 
-def with_nodes(env: EnvBase, history: int = 1, static: bool = False) -> TransformedEnv:
+def with_nodes(
+    env: EnvBase,
+    history: int = 1,
+    static: bool = False,
+    feet: Sequence[str] | None = None,
+    forward: Axis | None = None,
+) -> TransformedEnv:
     """The same environment, which also writes ``"nodes"`` ``[N, history * F]`` (oldest frame first), in float32.
 
     Args:
         env: A ``DMControlEnv``, or a ``GymEnv`` of a MuJoCo robot, without transforms.
         history: Frames stacked.
-        static: Whether to put :meth:`NodeSensor.static` behind them.
+        static: Whether to put :meth:`NodeSensor.static` behind them. An equivariant network then needs
+            ``Reflection.from_robot(robot, static=len(STATIC))``.
+        feet: Names of the bodies that may touch the ground; ``None`` for those that the robot stands on in the pose in
+            which its model is, which may be lying.
+        forward: Where forward is, ``x``, ``-x``, ``y`` or ``-y`` of the world; ``None`` to find out.
 
     Returns:
         The environment; ``env.transform[0].sensor.graph`` is the graph for the networks, ``.robot`` its robot.
 
     Raises:
         ConfigError: If the environment is not one of these.
+        RobotError: If what it simulates is not a robot, or has no such feet.
     """
-    nodes = Nodes(env)
+    nodes = Nodes(env, feet, forward)
     transforms: list[Transform] = [nodes, DoubleToFloat()]
     if history > 1:
         transforms.append(CatFrames(N=history, dim=-1, in_keys=["nodes"], padding="same"))
@@ -186,14 +205,14 @@ def with_nodes(env: EnvBase, history: int = 1, static: bool = False) -> Transfor
     return TransformedEnv(env, Compose(*transforms))
 
 
-def sensor_of(env: EnvBase) -> NodeSensor:
-    """What reads the nodes of an environment.
+def sensor_of(env: EnvBase, feet: Sequence[str] | None = None, forward: Axis | None = None) -> NodeSensor:
+    """What reads the nodes of an environment; ``feet`` and ``forward`` as for :class:`NodeSensor`.
 
     Raises:
         ConfigError: If it has no MuJoCo simulator, or more than one.
-        RobotError: If what it simulates is not a robot.
+        RobotError: If what it simulates is not a robot, or has no such feet.
     """
-    return NodeSensor(simulator(env)[0])
+    return NodeSensor(simulator(env)[0], feet, forward)
 
 
 def simulator(env: EnvBase) -> tuple[mujoco.MjModel, mujoco.MjData]:
