@@ -55,6 +55,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     settings = build(config, trusted=not resumed)
     settings.check_here()
     # Imported late, so that --help and a wrong setting are answered at once.
+    from gctd3.envs.factory import EnvSettings
     from gctd3.film import check_film
     from gctd3.run_log import refuse_a_run
     from gctd3.trainer import Trainer
@@ -78,7 +79,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
                 "stop_when.evaluations or stop_when.evaluations=null if its conditions ended it."
             )
         trainer.run(stop)
-        print(_summary(trainer.best, run))
+        print(_summary(trainer.best, run, walks=isinstance(settings.env, EnvSettings)))
         if not trainer.finished:
             print(f"Continue it:  python -m gctd3.train resume={run}")
     if stop.file is not None:
@@ -105,11 +106,10 @@ def _value(best: dict[str, float] | None) -> float:
     return math.nan if best is None else best["return_mean"]
 
 
-def _summary(best: dict[str, float] | None, run: Path) -> str:
-    judge = (
-        f"\nJudge it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
-        f"\nWatch it walk:  python -m gctd3.view run={run}"
-    )
+def _summary(best: dict[str, float] | None, run: Path, walks: bool) -> str:
+    """What was reached and how to look at it; only the walking task can be drawn."""
+    judge = f"\nJudge it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
+    judge += f"\nWatch it walk:  python -m gctd3.view run={run}" if walks else ""
     return f"\n{_said(best)}{judge if best is not None else ''}"
 
 

@@ -49,7 +49,7 @@ class RobotSettings:
     """Which robot, and which graph over it.
 
     Attributes:
-        name: A shipped robot, or the path of an MJCF file.
+        name: A shipped robot, or the path of an MJCF file; of no meaning for a library's task, which brings its own.
         graph: Preset of :meth:`gctd3.KinematicGraph.from_robot`.
         graph_seed: For ``graph=random``.
         feet: Names of the bodies that may touch the ground; ``None`` for those that stand on it.
@@ -216,7 +216,12 @@ class TrainSettings:
             self._check_library_task(self.env)
 
     def _check_library_task(self, env: LibrarySettings) -> None:
-        """What a library's task asks of replay and networks."""
+        """What a library's task asks of the robot, replay and networks."""
+        if self.robot.name != RobotSettings.name:
+            raise ConfigError(
+                f"robot.name must be left at {RobotSettings.name} for a library's task, got {self.robot.name!r}: "
+                "the task brings its own robot, to which robot.feet, robot.forward and robot.graph apply."
+            )
         if self.replay.mirror:
             raise ConfigError("replay.mirror must be false for a library's task, got true: use replay=plain.")
         network = self.network
@@ -294,7 +299,9 @@ class TrainSettings:
         Raises:
             RobotError: If it cannot be used.
         """
-        return self.env.robot if isinstance(self.env, LibrarySettings) else self.robot.load()
+        if isinstance(self.env, LibrarySettings):
+            return self.env.load_robot(self.robot.feet, self.robot.forward)
+        return self.robot.load()
 
     def architecture(self, device: torch.device | str = "cpu") -> Architecture:
         """What the networks are built from, to lie on ``device``."""

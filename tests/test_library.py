@@ -24,7 +24,9 @@ FEW = ["env.num_envs=2", "evaluation.episodes=1", "evaluation.every=200", "total
 WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episodes", "total_frames"]
 
 
-@pytest.mark.parametrize("env, nodes, actions", [("walker_walk", 9, 6), ("walker2d", 9, 6), ("ant", 15, 8)])
+@pytest.mark.parametrize(
+    "env, nodes, actions", [("walker_walk", 9, 6), ("walker2d", 9, 6), ("halfcheetah", 9, 6), ("ant", 15, 8)]
+)
 def test_trains_and_evaluates(tmp_path, env, nodes, actions, capsys):
     run = train(tmp_path / "run", "algo=gctd3", f"env={env}", *FEW, without=WITHOUT)
     (row,) = rows(run)
@@ -37,7 +39,9 @@ def test_trains_and_evaluates(tmp_path, env, nodes, actions, capsys):
     assert report["task"] == load_settings(run).env.task
     # dm_control's rewards lie in [0, 1], and an episode has 1,000 steps.
     assert 0 <= report["return_mean"] <= 1000 or env != "walker_walk"
-    assert "380.0" not in capsys.readouterr().out
+    said = capsys.readouterr().out
+    # Nothing of the paper's, and no command that would refuse this run.
+    assert "380.0" not in said and "gctd3.evaluate run=" in said and "gctd3.view" not in said
     assert command("render", f"run={run}", f"out={tmp_path / 'walk.png'}") == 2
     assert "only the walking task can be drawn" in capsys.readouterr().err
 
@@ -52,7 +56,7 @@ def test_other_algorithms_train_too(tmp_path, algorithm):
 
 def test_rewards_and_ways_are_the_tasks_own():
     settings = LibrarySettings("gymnasium", "Walker2d-v5", num_envs=2, history=2)
-    env = build_env(settings.robot, settings, Reward(), seed=5)
+    env = build_env(settings.load_robot(), settings, Reward(), seed=5)
     actions = torch.rand(2, 12, 6, generator=torch.Generator().manual_seed(0)) * 2 - 1
     state, seen = env.reset(), []
     theirs = gymnasium.make("Walker2d-v5")
@@ -76,16 +80,72 @@ def test_rewards_and_ways_are_the_tasks_own():
 def test_dm_controls_period_and_time_limit():
     settings = LibrarySettings("dm_control", "walker-walk", num_envs=1)
     assert settings.control_dt == suite.load("walker", "walk").control_timestep() == 0.025
-    env = build_env(settings.robot, settings, Reward(), seed=0)
+    env = build_env(settings.load_robot(), settings, Reward(), seed=0)
     rollout = env.rollout(1001, break_when_any_done=True)
     assert rollout.shape == (1, 1000)
     last = rollout["next"][0, -1]
     assert last["truncated"].item() and not last["terminated"].item()
 
 
+def test_actions_are_scaled_to_the_limits_of_the_task():
+    settings = LibrarySettings("gymnasium", "Humanoid-v5", num_envs=1)
+    env, theirs = build_env(settings.load_robot(), settings, Reward(), seed=0), gymnasium.make("Humanoid-v5")
+    assert theirs.action_space.high.max() == pytest.approx(0.4)
+    state = env.reset()
+    theirs.reset()
+    inner = env.base_env._envs[0].base_env._env.unwrapped
+    theirs.unwrapped.set_state(inner.data.qpos.copy(), inner.data.qvel.copy())
+    for _ in range(5):
+        action = torch.rand(1, 17) * 2 - 1
+        state = env.step(state.set("action", action))["next"]
+        _, reward, *_ = theirs.step(0.4 * action[0].numpy())
+        assert state["reward"].item() == pytest.approx(reward, rel=1e-4)
+    np.testing.assert_allclose(inner.data.qvel, theirs.unwrapped.data.qvel, atol=1e-3)
+
+
+def test_actions_of_dm_control_are_scaled_too():
+    settings = LibrarySettings("dm_control", "quadruped-walk", num_envs=1)
+    env = build_env(settings.load_robot(), settings, Reward(), seed=0)
+    physics = env.base_env._envs[0].base_env._env.physics
+    limits = physics.model.actuator_ctrlrange
+    assert not (limits == [-1, 1]).all()
+    state = env.reset()
+    for end, action in enumerate((-1.0, 1.0)):
+        state = env.step(state.set("action", torch.full((1, len(limits)), action)))["next"]
+        np.testing.assert_allclose(physics.control(), limits[:, end])
+
+
+def test_feet_and_forward_are_those_named(tmp_path, capsys):
+    named = ["env=walker2d", "robot.feet=[foot_left]", "robot.forward=-x"]
+    run = train(tmp_path / "run", "algo=gctd3", *named, *FEW, without=WITHOUT)
+    robot = load_settings(run).load_robot()
+    assert (robot.feet, robot.forward_axis) == (("foot_left",), "-x")
+    assert command("evaluate", f"run={run}", "episodes=1") == 0
+    settings = LibrarySettings("gymnasium", "Walker2d-v5", num_envs=1)
+    assert settings.load_robot().feet == ("foot", "foot_left")
+    ways = []
+    for one in (settings.load_robot(), robot):
+        env = build_env(one, settings, Reward(), seed=0)
+        ways.append(env.step(env.reset().set("action", torch.ones(1, 6)))["next", "position"])
+    assert torch.equal(ways[0], -ways[1]) and ways[0].abs().max() > 0
+    capsys.readouterr()
+    for wrong, message in [
+        ("robot.feet=[nonsense]", "has no body 'nonsense'"),
+        ("robot.feet=[torso]", "feet: 'torso' of 'Walker2d-v5' hangs on no joint"),
+        ("robot.name=quadruped", "robot.name must be left at biped for a library's task, got 'quadruped'"),
+        ("robot=my.xml", "got 'my.xml': the task brings its own robot"),
+    ]:
+        wrong = tiny(tmp_path / "wrong", "env=walker2d", wrong, *FEW, without=WITHOUT)
+        assert command("train", *wrong) == 2
+        assert message in capsys.readouterr().err
+        assert not (tmp_path / "wrong").exists()
+
+
 def test_equal_seeds_start_equally():
     settings = LibrarySettings("gymnasium", "HalfCheetah-v5", num_envs=3)
-    one, again, other = (build_env(settings.robot, settings, Reward(), seed).reset()["nodes"] for seed in (3, 3, 4))
+    one, again, other = (
+        build_env(settings.load_robot(), settings, Reward(), seed).reset()["nodes"] for seed in (3, 3, 4)
+    )
     assert torch.equal(one, again) and not torch.equal(one, other) and not torch.equal(one[0], one[1])
 
 
@@ -95,7 +155,7 @@ def test_equal_seeds_start_equally():
 def test_the_tasks_own_observation(library, task, size):
     settings = LibrarySettings(library, task, num_envs=2, history=1, observation="flat")
     assert settings.features == size and settings.graph.nodes == ("observation",)
-    env = build_env(settings.robot, settings, Reward(), seed=0)
+    env = build_env(settings.load_robot(), settings, Reward(), seed=0)
     state = env.reset()
     action = torch.zeros(2, env.action_spec.shape[-1])
     for _ in range(3):
@@ -110,7 +170,7 @@ def test_the_tasks_own_observation(library, task, size):
     if library == "gymnasium":  # in its order
         np.testing.assert_allclose(state["nodes"][0, 0], theirs, rtol=1e-6)
     # What the nodes would have been stands beside it, for the gait.
-    noded = build_env(settings.robot, replace(settings, observation="nodes"), Reward(), seed=0)
+    noded = build_env(settings.load_robot(), replace(settings, observation="nodes"), Reward(), seed=0)
     other = noded.reset()
     for _ in range(3):
         other = noded.step(other.set("action", action))["next"]
@@ -134,13 +194,13 @@ def test_trains_on_the_tasks_own_observation(tmp_path, capsys):
     [
         ("dm_control", "walker", "dm_control cannot make 'walker'"),
         ("gymnasium", "Nothing-v0", "gymnasium cannot make 'Nothing-v0'"),
-        ("gymnasium", "Humanoid-v5", r"must lie in \[-1, 1\]"),
+        ("dm_control", "lqr-lqr_2_1", r"actions of 'lqr-lqr_2_1' must have limits, to be scaled to \[-1, 1\]"),
         ("gymnasium", "Pendulum-v1", "one MuJoCo robot"),
     ],
 )
 def test_tasks_that_cannot_be(library, task, message):
     with pytest.raises(ConfigError, match=message):
-        _ = LibrarySettings(library, task).robot
+        _ = LibrarySettings(library, task).load_robot()
 
 
 def test_settings_that_do_not_fit(tmp_path, capsys):

@@ -21,7 +21,12 @@ WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episod
 # Walker2d falls within the frames of the test; an episode of dm_control's has 1,000 steps, so that is judged only once.
 @pytest.mark.parametrize(
     "task, every",
-    [(["env=walker2d"], 100), (["env=walker2d", *FLAT], 100), (["env=walker_walk"], 200)],
+    [
+        (["env=walker2d"], 100),
+        (["env=walker2d", *FLAT], 100),
+        (["env=ant", "env.task=Humanoid-v5"], 100),
+        (["env=walker_walk"], 200),
+    ],
 )
 def test_stopped_and_resumed_equals_left_alone(tmp_path, task, every):
     settings = [*FEW, *task, f"evaluation.every={every}"]
@@ -42,18 +47,20 @@ def follow(env, state, actions):
 
 
 # Ant falls; its reward reads what was derived before the last integration. The others' episodes have 1,000 steps; the
-# swimmer's target is moved in the model at each reset.
+# swimmer's target is moved in the model at each reset. The actions of Humanoid and of the quadruped are scaled.
 @pytest.mark.parametrize(
     "library, task, before, after",
     [
         ("gymnasium", "Ant-v5", 30, 20),
         ("gymnasium", "HalfCheetah-v5", 990, 20),
+        ("gymnasium", "Humanoid-v5", 15, 30),
         ("dm_control", "swimmer-swimmer6", 990, 20),
+        ("dm_control", "quadruped-walk", 990, 20),
     ],
 )
 def test_a_robot_goes_on_as_it_would_have(tmp_path, library, task, before, after):
     settings = LibrarySettings(library, task, num_envs=1)
-    env, other = (build_env(settings.robot, settings, Reward(), seed) for seed in (3, 4))
+    env, other = (build_env(settings.load_robot(), settings, Reward(), seed) for seed in (3, 4))
     generator = torch.Generator().manual_seed(0)
     actions = 2 * torch.rand(before + after, 1, *env.action_spec.shape[1:], generator=generator) - 1
     _, state = follow(env, env.reset(), actions[:before])
@@ -74,7 +81,7 @@ def test_the_state_of_another_robot_is_refused(tmp_path):
     envs = []
     for task in ("Walker2d-v5", "Ant-v5"):
         settings = LibrarySettings("gymnasium", task, num_envs=1)
-        envs.append(build_env(settings.robot, settings, Reward(), 0))
+        envs.append(build_env(settings.load_robot(), settings, Reward(), 0))
         envs[-1].reset()
     with pytest.raises(ValueError, match=r"state has \d+ numbers, got \d+"):
         load_env_state(envs[0].base_env, env_state(envs[1].base_env))

@@ -8,7 +8,7 @@ from torchrl.envs import DMControlEnv, GymEnv, SerialEnv, TransformedEnv, check_
 
 from gctd3 import KinematicGraph, make_actor
 from gctd3.envs.nodes import STATIC, NodeSensor, with_nodes
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, RobotError
 
 # Nodes: root, base nodes, joints, ground nodes.
 SUITE = {
@@ -155,3 +155,20 @@ def test_several_robots_and_what_is_none():
 def test_the_graph_is_that_of_the_model():
     env = make("Walker2d-v5")
     assert env.transform[0].sensor.graph.nodes == KinematicGraph.from_mjcf(simulator(env)[0]).nodes
+
+
+def test_feet_and_forward_of_a_robot_that_lies():
+    named = {"feet": ["right_foot", "left_foot"], "forward": "-x"}
+    env = make("HumanoidStandup-v5", **named)
+    sensor, graph = env.transform[0].sensor, KinematicGraph.from_mjcf(simulator(env)[0], **named)
+    assert (sensor.robot.feet, sensor.robot.forward_axis) == (("right_foot", "left_foot"), "-x")
+    ends = [node for edge in sensor.graph.edges if "ground" in edge for node in edge if node != "ground"]
+    assert sensor.graph.edges == graph.edges and ends == ["right_knee", "left_knee"]
+    env.reset()
+    model, data = simulator(env)
+    data.qvel[0] = 1.5
+    assert sensor.read(model, data)[0, 1] == -1.5
+    with pytest.raises(RobotError, match="has no body 'nonsense'"):
+        make("HumanoidStandup-v5", feet=["nonsense"])
+    with pytest.raises(RobotError, match="forward must be one of x, -x, y, -y, got 'up'"):
+        KinematicGraph.from_mjcf("biped", forward="up")

@@ -51,6 +51,12 @@ def _elsewhere(tmp_path, monkeypatch):
 # What a run leaves behind.
 
 
+def test_a_training_ends_with_what_to_do_next(tmp_path, capsys):
+    run = train(tmp_path / "run", "algo=td3", "total_frames=160")
+    said = capsys.readouterr().out
+    assert f"python -m gctd3.evaluate run={run} episodes=50" in said and f"python -m gctd3.view run={run}" in said
+
+
 @pytest.mark.parametrize("algorithm", ["gctd3", "td3", "ddpg", "sac"])
 def test_a_run_keeps_the_contract(runs, algorithm):
     run, _ = runs(algorithm)

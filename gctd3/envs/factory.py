@@ -77,7 +77,7 @@ def build_env(robot: Robot, settings: EnvSettings | LibrarySettings, reward: Rew
         ConfigError: If a setting is out of range, or the robot does not fit the task.
     """
     if isinstance(settings, LibrarySettings):
-        return build_library_env(settings, seed)
+        return build_library_env(robot, settings, seed)
     task = WalkingTask(robot, reward, settings.endings, settings.control_dt)
     env: EnvBase
     if settings.backend == "batched":

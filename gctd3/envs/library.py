@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import mujoco
 import numpy as np
 import torch
 from tensordict import TensorDictBase
@@ -24,13 +25,15 @@ from torchrl.envs import (
     TransformedEnv,
 )
 
+from gctd3.base import Axis
 from gctd3.envs.gait import FEATURES
-from gctd3.envs.nodes import NodeSensor, sensor_of, simulator, with_nodes
+from gctd3.envs.nodes import NodeSensor, simulator, with_nodes
 from gctd3.envs.serial import SerialRobots
 from gctd3.errors import ConfigError, check_between
 from gctd3.graph import KinematicGraph
 from gctd3.robot import Robot
 
+Library = Literal["dm_control", "gymnasium"]
 MOST_ROBOTS, MOST_FRAMES = 100_000, 1000  # stepped together; stacked into an observation
 
 
@@ -40,14 +43,14 @@ class LibrarySettings:
 
     Attributes:
         library: ``dm_control`` or ``gymnasium``.
-        task: ``domain-task`` of dm_control's suite, or Gymnasium's id.
+        task: ``domain-task`` of dm_control's suite, or Gymnasium's id; its actions are scaled to [-1, 1].
         num_envs: Robots, simulated one after another.
         history: Frames stacked into an observation.
         observation: ``nodes``: of the robot's graph, see :class:`.NodeSensor`; ``flat``: what the task itself gives,
             all of it as a single node, which is for networks without graph layers.
     """
 
-    library: Literal["dm_control", "gymnasium"]
+    library: Library
     task: str
     num_envs: int = 8
     history: int = 2
@@ -57,14 +60,18 @@ class LibrarySettings:
         check_between(self, 1, MOST_ROBOTS, "num_envs")
         check_between(self, 1, MOST_FRAMES, "history")
 
-    @property
-    def robot(self) -> Robot:
+    def load_robot(self, feet: Sequence[str] | None = None, forward: Axis | None = None) -> Robot:
         """The robot in the task's simulator.
+
+        Args:
+            feet: Names of the bodies that may touch the ground, see :meth:`.Robot.from_mjcf`.
+            forward: Where forward is, likewise.
 
         Raises:
             ConfigError: If there is no such task, or its robot does not fit.
+            RobotError: If it has no such feet.
         """
-        return _probe(self.library, self.task).sensor.robot
+        return _robot(self.library, self.task, None if feet is None else tuple(feet), forward)
 
     @property
     def control_dt(self) -> float:
@@ -86,18 +93,43 @@ class LibrarySettings:
         return replace(self, num_envs=episodes)
 
     def make(self) -> EnvBase:
-        """The task as its library has it, one robot.
+        """The task as its library has it, one robot, its actions scaled to [-1, 1].
 
         Raises:
-            ConfigError: If there is no such task.
+            ConfigError: If there is no such task, or it cannot be scaled or is not one of MuJoCo's.
         """
         try:
             if self.library == "gymnasium":
-                return GymEnv(self.task)
-            domain, _, task = self.task.partition("-")
-            return DMControlEnv(domain, task)
+                env = GymEnv(self.task)
+            else:
+                domain, _, task = self.task.partition("-")
+                env = DMControlEnv(domain, task)
         except Exception as error:  # either library has errors of its own
             raise ConfigError(f"task: {self.library} cannot make {self.task!r}: {error}") from error
+        simulator(env)
+        self._scale_actions(env)
+        return env
+
+    def _scale_actions(self, env: EnvBase) -> None:
+        """Put the library's own wrapper around a task whose actions do not lie in [-1, 1]."""
+        low, high = env.action_spec.space.low, env.action_spec.space.high
+        if (low == -1).all() and (high == 1).all():
+            return
+        # dm_control has MuJoCo's largest number where there is no limit, Gymnasium an empty range.
+        if not ((low.abs() < mujoco.mjMAXVAL) & (high.abs() < mujoco.mjMAXVAL) & (low < high)).all():
+            raise ConfigError(
+                f"task: actions of {self.task!r} must have limits, to be scaled to [-1, 1], got {low.tolist()} to "
+                f"{high.tolist()}."
+            )
+        if self.library == "gymnasium":
+            from gymnasium.wrappers import RescaleAction
+
+            env._env = RescaleAction(env._env, np.float32(-1.0), np.float32(1.0))
+        else:
+            from dm_control.suite.wrappers import action_scale
+
+            env._env = action_scale.Wrapper(env._env, minimum=-1.0, maximum=1.0)
+        env._make_specs(env._env)
 
 
 class _TaskKeys(Transform):
@@ -151,8 +183,13 @@ class _Flat(Transform):
         return observation_spec
 
 
-def build_library_env(settings: LibrarySettings, seed: int) -> EnvBase:
+def build_library_env(robot: Robot, settings: LibrarySettings, seed: int) -> EnvBase:
     """Robots of a library's task, with the keys of :func:`gctd3.envs.factory.build_env`.
+
+    Args:
+        robot: The task's own, which knows its feet and where forward is: of :meth:`LibrarySettings.load_robot`.
+        settings: Which task.
+        seed: Of the first robot's starts; the next one's is one more.
 
     Returns:
         An environment of batch size ``[num_envs]``; ``position`` is the way forward from the origin (m), ``counters``
@@ -162,7 +199,7 @@ def build_library_env(settings: LibrarySettings, seed: int) -> EnvBase:
 
     def one(index: int) -> EnvBase:
         env = settings.make()
-        noded = with_nodes(env)
+        noded = with_nodes(env, feet=robot.feet, forward=robot.forward_axis)
         noded.append_transform(_TaskKeys(env, noded.transform[0].sensor))
         if settings.observation == "flat":
             noded.append_transform(_Flat(_parts(env)))
@@ -183,24 +220,31 @@ def _parts(env: EnvBase) -> list[str]:
 
 @dataclass(frozen=True)
 class _Probe:
-    """What a task is found to be: its sensor, its control period (s), the size of its own observation."""
+    """What a task is found to be: its simulator's model, its control period (s), the size of its own observation."""
 
-    sensor: NodeSensor
+    model: mujoco.MjModel
     control_dt: float
     size: int
 
 
 @functools.lru_cache
-def _probe(library: Literal["dm_control", "gymnasium"], task: str) -> _Probe:
+def _probe(library: Library, task: str) -> _Probe:
     env = LibrarySettings(library, task).make()
-    sensor = sensor_of(env)
-    if sensor.features != FEATURES:
-        raise ConfigError(f"task: {task!r} has a robot with ball joints, for whose nodes there is no replay yet.")
-    low, high = env.action_spec.space.low, env.action_spec.space.high
-    if not (low == -1).all() or not (high == 1).all():
-        raise ConfigError(f"task: actions of {task!r} must lie in [-1, 1], got {low.tolist()} to {high.tolist()}.")
     inner = env._env
     dt = inner.control_timestep() if library == "dm_control" else inner.unwrapped.dt
     size = sum(env.observation_spec[key].shape.numel() for key in _parts(env))
+    model, _ = simulator(env)
     env.close()
-    return _Probe(sensor, float(dt), size)
+    return _Probe(model, float(dt), size)
+
+
+@functools.lru_cache
+def _robot(library: Library, task: str, feet: tuple[str, ...] | None, forward: Axis | None) -> Robot:
+    sensor = NodeSensor(_probe(library, task).model, feet, forward)
+    robot = sensor.robot
+    if sensor.features != FEATURES:
+        raise ConfigError(f"task: {task!r} has a robot with ball joints, for whose nodes there is no replay yet.")
+    for foot, leg in zip(robot.feet, robot.legs, strict=True):
+        if not leg:
+            raise ConfigError(f"feet: {foot!r} of {task!r} hangs on no joint, so it is no leg's end; name other feet.")
+    return robot
