@@ -43,7 +43,7 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
     if asks_for_help():
         print(help_of(command_of(config)))
         return
-    sys.argv[1:] = map(_robot_file, sys.argv[1:])
+    sys.argv[1:] = map(_robot_file, _together(sys.argv[1:]))
     # A launcher's plug-in has settings of the same name as ours in conf/, on purpose.
     warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/", category=UserWarning)
     # Hydra would print and exit; this way its errors come here, to be said in the library's words.
@@ -67,6 +67,15 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
         if plugin is None:
             raise
         fail(f"hydra/launcher={plugin[1]} needs its package: pip install 'gctd3[{plugin[1]}]'.")
+
+
+def _together(arguments: list[str]) -> list[str]:
+    """``arguments`` with those of the form key=value first: Hydra refuses them on both sides of an option."""
+
+    def assigns(argument: str) -> bool:
+        return not argument.startswith("-") and ("=" in argument or argument.startswith("~"))
+
+    return sorted(arguments, key=lambda argument: not assigns(argument))
 
 
 def _robot_file(argument: str) -> str:
@@ -172,6 +181,12 @@ def chooses(argument: str) -> str | None:
     """The group of which an argument chooses an option, if it is about one; other arguments add no keys."""
     group = re.split("[=@]", argument.lstrip("+~"), maxsplit=1)[0]
     return group if group.isidentifier() and resources.files(CONF).joinpath(group).is_dir() else None
+
+
+def ships(argument: str) -> bool:
+    """Whether the option that an argument chooses of a group comes with gctd3."""
+    group, option = chooses(argument), argument.partition("=")[2]
+    return group is not None and resources.files(CONF).joinpath(group, f"{option}.yaml").is_file()
 
 
 def _known_keys(config: str, arguments: list[str]) -> list[str]:

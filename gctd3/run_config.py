@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hydra import compose
+from hydra.errors import MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 import gctd3
-from gctd3.cli import chooses
+from gctd3.cli import chooses, ships
 from gctd3.errors import ConfigError, RunError
 from gctd3.files import write_text
 from gctd3.settings import build
@@ -44,6 +45,7 @@ HARMLESS = (
     "collector.address",
     "resume",
 )
+_ELSEWHERE = ("--config-dir", "-cd", "hydra.searchpath")  # where other options may be
 
 
 def find_run(run: str | Path | None) -> Path:
@@ -114,7 +116,8 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
     new = [item for item in overrides if item.split("=", 1)[0] not in own and item not in first]
     if not new:
         return config, first
-    before, after = flat(compose(root, first)), flat(compose(root, [*first, *new]))
+    was, known = _composed(root, first)
+    before, after = flat(was), flat(compose(root, [*known, *new]))
     difference = {key: after.get(key) for key in {*before, *after} if before.get(key) != after.get(key)}
     forbidden = sorted(key for key in difference if not _harmless(key))
     if forbidden:
@@ -131,13 +134,25 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
 def choices(run: Path, arguments: Sequence[str]) -> list[str]:
     """The options that a run's command line chose of groups that ``arguments`` leave alone.
 
-    Their keys are known to Hydra only with them: ``collector.workers`` is there with ``collector=process``.
+    Their keys are known to Hydra only with them: ``collector.workers`` is there with ``collector=process``. Options of
+    one's own are found only if ``arguments`` say where; the run has kept what they say.
 
     Raises:
         RunError: If the run does not say.
     """
     chosen = {chooses(argument) for argument in arguments}
-    return [item for item in _first(run) if chooses(item) not in {*chosen, None}]
+    elsewhere = any(argument.startswith(_ELSEWHERE) for argument in arguments)
+    own = [item for item in _first(run) if chooses(item) not in {*chosen, None}]
+    return [item for item in own if elsewhere or ships(item)]
+
+
+def _composed(root: str, overrides: list[str]) -> tuple[DictConfig, list[str]]:
+    """What a run's overrides make, without options of one's own that are not found here: the run has what they said."""
+    try:
+        return compose(root, overrides), overrides
+    except MissingConfigException:
+        found = [item for item in overrides if chooses(item) is None or ships(item)]
+        return compose(root, found), found
 
 
 def _first(run: Path) -> list[str]:

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from robots import TWO_LEGS
 from running import TINY, command, train
 
 from gctd3.usage import COMMANDS
@@ -92,7 +93,7 @@ INSTALL = {'pip install -e ".[test]"', "pip install -e .", "pytest"}
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A folder with a run that was stopped, a sweep, and an MJCF."""
+    """A folder with a run that was stopped, a sweep, an MJCF of another robot than any that ships, and its YAML."""
     root = tmp_path_factory.mktemp("readme")
     run = train(root / RUN, "total_frames=160")
     for seed in range(2):
@@ -101,8 +102,10 @@ def place(tmp_path_factory):
         text = (run / file).read_text(encoding="utf-8")
         (run / file).write_text(text.replace("total_frames: 160", "total_frames: 240").replace("=160", "=240"))
     shutil.copytree(run, root / "DIR")
-    mjcf = (ROOT / "models/biped/biped.xml").read_text(encoding="utf-8")
-    (root / "my.xml").write_text(re.sub(r'"foot_(left|right)"', r'"toe_\1"', mjcf))
+    (root / "my.xml").write_text(TWO_LEGS.replace("leg_r", "toe_right").replace("leg_l", "toe_left"))
+    (mine,) = (text for language, text in BLOCKS if language == "yaml")
+    (root / "robots/robot").mkdir(parents=True)
+    (root / "robots/robot/mine.yaml").write_text(mine)
     return root
 
 
