@@ -6,7 +6,9 @@ import math
 from pathlib import Path
 
 import pytest
+import torch
 from running import TINY, rows
+from torchrl.collectors import Collector
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NAMES = sorted(file.stem for file in EXAMPLES.glob("*.py"))
@@ -42,10 +44,17 @@ def test_help(name, capsys):
 
 
 def test_ppo(capsys):
-    few = ["--frames", "128", "--batch", "64", "--minibatch", "32", "--epochs", "2"]
-    reward = importlib.import_module("ppo_walker").main(few)
-    said = capsys.readouterr().out
-    assert 0.0 <= reward <= 1.0 and "right_hip" in said and said.count(" steps  reward") == 2
+    main = importlib.import_module("ppo_walker").main
+    few = ["--frames", "64", "--batch", "32", "--minibatch", "16", "--epochs", "2"]
+    learnt, said = main(few), capsys.readouterr().out
+    still, said_still = main([*few, "--learning-rate", "0"]), capsys.readouterr().out
+    assert "right_hip" in said
+    (first, last), (first_still, _) = (
+        [line for line in text.splitlines() if " steps  reward" in line] for text in (said, said_still)
+    )
+    assert f"64 steps  reward a step {learnt:.3f}" in last
+    # The same seed: until the first update they act alike, then only the one whose weights may change has changed.
+    assert first == first_still and learnt != still and math.isfinite(learnt)
 
 
 def test_sac():
@@ -54,11 +63,28 @@ def test_sac():
     assert returns and all(map(math.isfinite, returns))
 
 
-def test_transfer(tmp_path):
+def test_transfer(tmp_path, monkeypatch):
+    begun = []
+
+    class Watched(Collector):
+        """Keeps the weights with which a training begins, and how long it acts without them."""
+
+        def __init__(self, env, policy, *, init_random_frames, **settings):
+            weights = {name: value.clone() for name, value in policy.state_dict().items()}
+            begun.append((weights, init_random_frames))
+            super().__init__(env, policy, init_random_frames=init_random_frames, **settings)
+
+    monkeypatch.setattr(importlib.import_module("sac_gymnasium"), "Collector", Watched)
     few = ["--frames", "100", "--warmup", "80", "--batch", "8", "--save", str(tmp_path / "weights.pt")]
     result = importlib.import_module("transfer").main(["--source", "Walker2d-v5", "--target", "Hopper-v5", *few])
     assert set(result) == {"transferred", "scratch"} and all(map(math.isfinite, result.values()))
-    assert (tmp_path / "weights.pt").stat().st_size > 0
+    # The source's end is the beginning of the one, who acts on it at once, and not of the other.
+    trained = torch.load(tmp_path / "weights.pt", weights_only=True)
+    (source, _), (transferred, random), (scratch, random_scratch) = begun
+    torch.testing.assert_close(transferred, trained, rtol=0, atol=0)
+    assert (random, random_scratch) == (0, 80)
+    for other in (source, scratch):
+        assert any(not torch.equal(other[name], value) for name, value in trained.items())
 
 
 def test_tune_goes_on_where_it_stopped(tmp_path):
