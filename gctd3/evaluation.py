@@ -118,7 +118,7 @@ def evaluate(
             if recorder is not None:
                 recorder.add(acting["action"].numpy().astype(np.float64))
             after = state["next"]
-            # A policy that sees the task's own observation has what the nodes sense beside it.
+            # A policy that sees something else, or more, has what the nodes sense beside it.
             newest = after.get("sensed", after["nodes"])[..., -FEATURES:]
             frames.append((alive, after["reward"][:, 0], after["position"][:, 0], newest, after["success"][:, 0]))
             alive = alive & ~after["done"][:, 0]

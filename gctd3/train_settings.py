@@ -225,6 +225,8 @@ class TrainSettings:
         if self.replay.mirror:
             raise ConfigError("replay.mirror must be false for a library's task, got true: use replay=plain.")
         network = self.network
+        if env.static and network.equivariant:
+            raise ConfigError("env.static must be false for an equivariant network, got true.")
         if env.observation == "flat" and (network.graph_layers or network.readout != "flat" or network.equivariant):
             raise ConfigError(
                 "env.observation must be nodes for a network that knows the robot's graph, got flat: use network=mlp."

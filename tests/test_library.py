@@ -16,6 +16,7 @@ import gctd3
 from gctd3.checkpoint import load_settings
 from gctd3.envs.factory import build_env
 from gctd3.envs.library import LibrarySettings
+from gctd3.envs.nodes import STATIC, NodeSensor
 from gctd3.envs.reward import Reward
 from gctd3.errors import ConfigError
 
@@ -187,6 +188,34 @@ def test_trains_on_the_tasks_own_observation(tmp_path, capsys):
         wrong = tiny(tmp_path / network, "algo=td3", f"network={network}", *flat, without=WITHOUT)
         assert command("train", *wrong) == 2
         assert "env.observation must be nodes for a network that knows the robot's graph" in capsys.readouterr().err
+
+
+def test_trains_on_nodes_that_say_what_they_are(tmp_path, capsys):
+    static = ["env=walker2d", "env.static=true", *FEW]
+    run = train(tmp_path / "run", "algo=gctd3", *static, without=WITHOUT)
+    settings = load_settings(run)
+    env = build_env(settings.load_robot(), settings.env, Reward(), seed=0)
+    state = env.reset()
+    for _ in range(3):
+        state = env.step(state.set("action", torch.ones(2, 6)))["next"]
+    # Two frames: what is sensed, in which only the newest is watched, and in both the same of what the node is.
+    older, newest = state["nodes"].unflatten(-1, (2, 2 + len(STATIC))).unbind(-2)
+    assert torch.equal(newest[..., :2], state["sensed"]) and not torch.equal(older[..., :2], newest[..., :2])
+    described = torch.from_numpy(NodeSensor(settings.load_robot().model).static())
+    assert torch.equal(older[0, :, 2:], described) and torch.equal(newest[1, :, 2:], described)
+    policy = gctd3.load_policy(run)
+    assert policy(state)["action"].shape == (2, 6)
+    # The policy reads it.
+    other = state.clone()
+    other["nodes"][..., 2:13] += 1.0
+    assert not torch.equal(policy(other)["action"], policy(state)["action"])
+    assert command("evaluate", f"run={run}", "episodes=1") == 0
+    for wrong, message in [
+        (["algo=td3", "network=mlp", "env.observation=flat"], "static must be false for observation=flat"),
+        (["algo=gctd3", "network=equivariant"], "env.static must be false for an equivariant network"),
+    ]:
+        assert command("train", *tiny(tmp_path / "wrong", *static, *wrong, without=WITHOUT)) == 2
+        assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

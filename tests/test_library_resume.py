@@ -24,6 +24,7 @@ WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episod
     [
         (["env=walker2d"], 100),
         (["env=walker2d", *FLAT], 100),
+        (["env=walker2d", "env.static=true"], 100),
         (["env=ant", "env.task=Humanoid-v5"], 100),
         (["env=walker_walk"], 200),
     ],

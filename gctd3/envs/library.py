@@ -19,6 +19,7 @@ from torchrl.envs import (
     EnvBase,
     GymEnv,
     InitTracker,
+    RenameTransform,
     SelectTransform,
     StepCounter,
     Transform,
@@ -27,7 +28,7 @@ from torchrl.envs import (
 
 from gctd3.base import Axis
 from gctd3.envs.gait import FEATURES
-from gctd3.envs.nodes import NodeSensor, simulator, with_nodes
+from gctd3.envs.nodes import STATIC, NodeSensor, StaticNodes, simulator, with_nodes
 from gctd3.envs.serial import SerialRobots
 from gctd3.errors import ConfigError, check_between
 from gctd3.graph import KinematicGraph
@@ -48,6 +49,7 @@ class LibrarySettings:
         history: Frames stacked into an observation.
         observation: ``nodes``: of the robot's graph, see :class:`.NodeSensor`; ``flat``: what the task itself gives,
             all of it as a single node, which is for networks without graph layers.
+        static: Whether every frame of a node also says what it is (:meth:`.NodeSensor.static`).
     """
 
     library: Library
@@ -55,10 +57,13 @@ class LibrarySettings:
     num_envs: int = 8
     history: int = 2
     observation: Literal["nodes", "flat"] = "nodes"
+    static: bool = False
 
     def __post_init__(self) -> None:
         check_between(self, 1, MOST_ROBOTS, "num_envs")
         check_between(self, 1, MOST_FRAMES, "history")
+        if self.static and self.observation == "flat":
+            raise ConfigError("static must be false for observation=flat, which has no nodes to describe, got true.")
 
     def load_robot(self, feet: Sequence[str] | None = None, forward: Axis | None = None) -> Robot:
         """The robot in the task's simulator.
@@ -86,7 +91,9 @@ class LibrarySettings:
     @property
     def features(self) -> int:
         """``F``, features of a node in one frame."""
-        return _probe(self.library, self.task).size if self.observation == "flat" else FEATURES
+        if self.observation == "flat":
+            return _probe(self.library, self.task).size
+        return FEATURES + (len(STATIC) if self.static else 0)
 
     def judging(self, episodes: int, threads: int | None = None) -> LibrarySettings:
         """The same task for one evaluation; ``threads`` is for tasks that are simulated at once."""
@@ -193,7 +200,8 @@ def build_library_env(robot: Robot, settings: LibrarySettings, seed: int) -> Env
 
     Returns:
         An environment of batch size ``[num_envs]``; ``position`` is the way forward from the origin (m), ``counters``
-        is empty, ``success`` and ``diverged`` are never true. If ``nodes`` is flat, ``sensed`` is what the nodes sense.
+        is empty, ``success`` and ``diverged`` are never true. If ``nodes`` is flat, or holds
+        more than what the nodes sense, ``sensed`` is that.
     """
     keys = ["nodes", "position", "success", "diverged", "counters"]
 
@@ -203,7 +211,11 @@ def build_library_env(robot: Robot, settings: LibrarySettings, seed: int) -> Env
         noded.append_transform(_TaskKeys(env, noded.transform[0].sensor))
         if settings.observation == "flat":
             noded.append_transform(_Flat(_parts(env)))
-        noded.append_transform(SelectTransform(*keys, *(["sensed"] if settings.observation == "flat" else [])))
+        if settings.static:
+            noded.append_transform(RenameTransform(["nodes"], ["sensed"], create_copy=True))
+            noded.append_transform(StaticNodes(noded.transform[0].sensor))
+        more = ["sensed"] if settings.static or settings.observation == "flat" else []
+        noded.append_transform(SelectTransform(*keys, *more))
         noded.set_seed(seed + index)
         return noded
 
