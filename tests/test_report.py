@@ -130,7 +130,7 @@ def make(root, name, returns=500.0, *, overrides=(), evaluation=True, change=Non
     (run / "progress.csv").write_text("\n".join(lines))
     if evaluation:
         judged = {"return_mean": returns, "velocity_mean": 1.2, "success_rate": success, "body_position_mean": 0.01}
-        judged["gait"] = {"episodes": 50, "stride_hz": 1.5, "floquet_max": None, "asymmetry_hip_right": 0.02}
+        judged["gait"] = {"episodes": 50, "flight_fraction": 0.25, "floquet_max": None, "asymmetry_hip_right": 0.02}
         (run / "evaluation.json").write_text(json.dumps(judged))
     return run
 
