@@ -183,8 +183,8 @@ def test_no_difference_is_sought_by_wall_clock_where_the_machine_was_shared(tmp_
     assert said[0] == "In short: 2 comparisons, 1 of which shows a difference: gctd3 returns more than td3 (return)."
     assert "gctd3: 5 of 5" in said[1] and "(1.6 to 2.4)" in said[1]
     why = (
-        "Wall-clock is of little worth here, and no difference is sought by it: these runs did not have the machine to "
-        "themselves alike, for 2,000 frames took 1.6 min and 2.4 min in gctd3."
+        "Wall-clock is of little worth here, and no difference is sought by it: these runs did not all have the same "
+        "machine to themselves, for 2,000 frames took 1.6 min and 2.4 min in gctd3."
     )
     assert said.count(why) == 1 and not any(" min of training: " in line for line in said)
     page = report(ReportSettings(str(tmp_path / "shared"), str(tmp_path / "out"))).read_text(encoding="utf-8")
@@ -197,7 +197,7 @@ def test_times_to_the_finish_are_wall_clock_too(tmp_path):
         timed(tmp_path, f"a{seed}", f"1000,10,{end},100,1.0,1")
         timed(tmp_path, f"b{seed}", "1000,10,20,100,1.0,1", **TD3)
     said = "\n".join(verdict(groups_of(find_runs(tmp_path))))
-    assert "time to the first evaluation" not in said and "did not have the machine to themselves alike" in said
+    assert "time to the first evaluation" not in said and "did not all have the same machine to themselves" in said
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def whole_times(runs: Sequence[Run]) -> list[float]:
 def uneven(groups: Mapping[str, Sequence[Run]]) -> list[str]:
     """Groups of which two runs took times for the same frames that are more than ``SPREAD`` apart, and these times.
 
-    Their configurations are the same, so the machine was not: another program, or a pause.
+    Their configurations are the same, so it was the machine: its threads, another program, or a pause.
     """
     found = []
     for group, runs in groups.items():

@@ -251,8 +251,8 @@ def unlike_machines(groups: Mapping[str, Sequence[Run]]) -> list[str]:
     if not apart:
         return []
     return [
-        "Wall-clock is of little worth here, and no difference is sought by it: these runs did not have the machine to "
-        f"themselves alike, for {'; '.join(apart)}."
+        "Wall-clock is of little worth here, and no difference is sought by it: these runs did not all have the same "
+        f"machine to themselves, for {'; '.join(apart)}."
     ]
 
 
