@@ -46,7 +46,8 @@ STAGES = [
     "worker process_worker ray_worker workers collectors",
     "trainer",
     "train",
-    "reporting.runs reporting.groups reporting.keep reporting.statistics reporting.clock reporting.verdict "
+    "reporting.place reporting.runs reporting.together reporting.groups reporting.keep reporting.statistics "
+    "reporting.clock reporting.verdict "
     "reporting.figures reporting.tables reporting.filmstrips reporting.page reporting",
     "report",
     "__main__",

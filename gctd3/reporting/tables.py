@@ -122,10 +122,10 @@ def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: b
     return Table(
         "table5",
         "The paper's Table 5",
-        "Ours: mean ± standard deviation over seeds, each the mean of its episodes; IQM is the interquartile mean over "
-        "seeds with its 95 % interval. The paper's ± is over 50 episodes of one training, in another simulator: not "
-        "like for like. Its body position seems to count from the height at which the robot is dropped"
-        + (f", {drop:.4f} m above standing." if np.isfinite(drop) else "."),
+        f"Ours: mean ± standard deviation over seeds, each the mean of its {_episodes(groups)}; IQM is the "
+        "interquartile mean over seeds with its 95 % interval. The paper's ± is over 50 episodes of one training, in "
+        "another simulator: not like for like. Its body position seems to count from the height at which the robot is "
+        "dropped" + (f", {drop:.4f} m above standing." if np.isfinite(drop) else "."),
         (
             "",
             "seeds judged",
@@ -138,6 +138,12 @@ def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: b
         ),
         rows,
     )
+
+
+def _episodes(groups: Mapping[str, Sequence[Run]]) -> str:
+    """As ``50 episodes``; a report has as many for all runs."""
+    found = {run.evaluation.get("episodes") for runs in groups.values() for run in runs if run.evaluation}
+    return f"{found.pop()} episodes" if len(found) == 1 and None not in found else "episodes"
 
 
 def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
