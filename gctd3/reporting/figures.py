@@ -246,7 +246,7 @@ def phase_portraits(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
     """Velocity over angle of each joint, right and left, over the last strides: a closed loop repeats itself."""
     pairs = joint_pairs(robot)
     settled = _late(trace, STRIDES_SECONDS)
-    figure, axes = new(1, len(pairs), height=2.1)
+    figure, axes = new(1, len(pairs), height=2.4)
     for ax, (first, second) in zip(axes[0], pairs, strict=True):
         for name, colour in ((first, RIGHT), (second, LEFT)):
             sign = 1.0 if name == first else robot.mirror_sign(second)

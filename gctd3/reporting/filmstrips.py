@@ -45,7 +45,7 @@ def stride_of(run: Run, robot: Robot, camera: str = "side") -> tuple[list[tuple[
         images = list(draw(walk, robot, chosen, camera, (SIZE, SIZE), env.control_dt, words=False))
     except GCTD3Error as error:
         raise RenderError(str(error)) from error
-    what = "a stride" if strides else f"{STRIDE} s, for it has no strides"
+    what = "a stride" if strides else f"{STRIDE} s, for its stride time is not known"
     words = [f"{(step + 1) * env.control_dt:.2f} s, {walk.position[step]:.2f} m" for step in chosen]
     caption = (
         "Of the policy whose return is the group's median, in equal steps of time; a line on the floor every metre."

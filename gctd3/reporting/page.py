@@ -42,9 +42,9 @@ table { border-collapse: collapse; width: 100%; font-size: 0.875rem; font-varian
 small { display: block; color: var(--soft); }
 th, td { text-align: left; padding: 0.35rem 0.5rem; border-bottom: 1px solid var(--line); vertical-align: top; }
 th { background: var(--card); font-weight: 600; vertical-align: bottom; } tr:last-child td { border-bottom: 0; }
-th:first-child, td:first-child { position: sticky; left: 0; min-width: 7.5rem; }
+th:first-child, td:first-child { position: sticky; left: 0; min-width: 8.5rem; }
 td:first-child { background: var(--paper); } td:first-child.meant { min-width: 14rem; }
-td.number { white-space: nowrap; } td.long { min-width: 13rem; }
+td.number { white-space: nowrap; } td.long { min-width: 11rem; }
 @media (max-width: 40rem) { td:first-child.meant { min-width: 9.5rem; } }
 """
 
@@ -125,9 +125,10 @@ def _table_row(cells: dict[str, str]) -> str:
 
 
 def _cell(column: str, text: str) -> str:
-    if column in (OUTCOME, DIRECTORY) or not re.match(r"[-[]?\d", text):
-        kind = ' class="long"' if column == OUTCOME else ""
-        return f"<td{kind}>{_breakable(text)}</td>"
+    if column in (OUTCOME, DIRECTORY):
+        return f'<td class="long">{_breakable(text)}</td>'
+    if not re.match(r"[-[]?\d", text):
+        return f"<td>{_breakable(text)}</td>"
     # An estimate; in lines of their own what it ranges over, and what it is not of.
     estimate, *more = text.split("; ")
     split = re.fullmatch(r"(\S+) ([(\[].*)", estimate)
