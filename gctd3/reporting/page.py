@@ -129,7 +129,7 @@ def _cell(column: str, text: str) -> str:
         return f'<td class="long">{_breakable(text)}</td>'
     if not re.match(r"[-[]?\d", text):
         return f"<td>{_breakable(text)}</td>"
-    # An estimate; in lines of their own what it ranges over, and what it is not of.
+    # An estimate; in lines of their own what it ranges over, and how many seeds lack it.
     estimate, *more = text.split("; ")
     split = re.fullmatch(r"(\S+) ([(\[].*)", estimate)
     estimate, *more = [*split.groups(), *more] if split else [estimate, *more]
