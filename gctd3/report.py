@@ -165,7 +165,7 @@ def _gaits(groups: Mapping[str, Sequence[Run]]) -> list[object]:
 
 
 def _gait_pictures(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: Gallery) -> list[object]:
-    """Of each group what cannot be shown, and a row: a stride, joints, phase portraits above contacts."""
+    """Of each group what cannot be shown, and below a stride a row: joints, phase portraits, contacts."""
     from gctd3.reporting.filmstrips import stride_of
     from gctd3.reporting.page import Row
 
@@ -176,13 +176,13 @@ def _gait_pictures(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: G
             continue
         notes, films = [], []
         try:
-            image, what, caption = stride_of(run, robot)
+            frames, what, caption = stride_of(run, robot)
             title = f"{group}, seed {run.seed}: {what}"
-            films.append(gallery.add_image(image, f"film_{_file(group)}", title, caption))
+            films.append(gallery.add_film(frames, f"film_{_file(group)}", title, caption))
         except RenderError as error:
             notes.append(f"{group}: no filmstrip. {error}")
         contacts, others, lacking = _traces(group, typical(with_trace(runs)), robot, gallery)
-        found += [*notes, *lacking, Row([films, others[:1], [*others[1:], *contacts]])]
+        found += [*notes, *lacking, Row([[picture] for picture in (*others, *contacts)], films)]
     return found
 
 

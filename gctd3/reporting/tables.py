@@ -62,6 +62,8 @@ GAIT = (
     ("periodic_fraction", "periodic", "", 2, "share of episodes whose strides could be judged"),
 )
 ASYMMETRY = "asymmetry_"
+# Columns that a page does not treat as numbers.
+UNIT, MEANING, OUTCOME, DIRECTORY = "unit", "what it is", "outcome", "directory"
 
 
 @dataclass(frozen=True)
@@ -194,7 +196,7 @@ def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
         "Gaits",
         "Over the last 10 m of the episodes that got that far: mean over seeds (lowest to highest). What only strides "
         "have is given of seeds at least half of whose episodes have them.",
-        ("", "unit", *groups, "what it is"),
+        ("", UNIT, *groups, MEANING),
         rows,
     )
 
@@ -225,7 +227,7 @@ def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table
         "largest impulse that is survived whenever in the stride it comes: the robot goes on for "
         f"{perturbations['recover']:g} s, at all {perturbations['starts']} starts, and with every smaller impulse; "
         f"{perturbations['impulses'][-1]:g} N s is the largest that was tried.",
-        ("", "unit", *groups),
+        ("", UNIT, *groups),
         rows,
     )
 
@@ -241,7 +243,7 @@ def runs_table(groups: Mapping[str, Sequence[Run]]) -> Table:
             cells = [_number(run.minutes, 1), _number(run.minutes_to_finish, 1), frames]
             cells += [_number(run.value("return_mean"), 1), _number(run.value("success_rate"), 2)]
             rows.append([group, str(run.seed), *cells, f"{run.trouble}; {state}" if run.trouble else state, run.name])
-    head = ("", "seed", "minutes", "to finish", "frames", "return", "success", "outcome", "directory")
+    head = ("", "seed", "minutes", "to finish", "frames", "return", "success", OUTCOME, DIRECTORY)
     note = "Minutes of wall-clock until the last evaluation, and until the first in which every episode finished."
     return Table("runs", "Runs", note, head, rows)
 
