@@ -23,6 +23,12 @@ def test_feet_are_the_legs_ends_unless_chosen(tmp_path):
     assert Robot.from_mjcf(path, feet=["leg_l"]).feet == ("leg_l",)
 
 
+def test_a_foot_is_the_end_of_a_leg(tmp_path):
+    robot = Robot.from_mjcf(write(tmp_path, TWO_LEGS), feet=["torso", "leg_l"])
+    with pytest.raises(RobotError, match=r"robot\.xml: foot 'torso' hangs on no joint, so it is no leg's end"):
+        robot.check_walking()
+
+
 # Errors name the file and the element.
 
 SECOND_ROOT = '<body name="extra" pos="2 0 1"><joint name="extra" type="slide"/><geom size="0.1"/></body></worldbody>'
@@ -36,6 +42,22 @@ BAD = {
     "duplicate name": (lambda text: text.replace('name="hip_l" axis', 'name="hip_r" axis'), "'hip_r'"),
     "missing mesh": (lambda text: text.replace("<worldbody>", MISSING_MESH, 1), "paw.stl"),
     "slide in a leg": (lambda text: text.replace('name="hip_l" axis', 'type="slide" name="hip_l" axis'), "'hip_l'"),
+    "two servos on a joint": (
+        lambda text: text.replace("</actuator>", '<position name="extra" joint="hip_l" ctrlrange="-1 1"/></actuator>'),
+        "actuators 'hip_l' and 'extra' both drive joint 'hip_l'",
+    ),
+    "slide across the axes": (
+        lambda text: text.replace('axis="1 0 0"', 'axis="1 0 1"'),
+        "joint 'x' of the root body 'torso', a slide along 0.707 0 0.707, is not understood: a base is a free joint",
+    ),
+    "second slide along z": (
+        lambda text: text.replace('axis="0 0 1"/>', 'axis="0 0 1"/> <joint name="lift" type="slide" axis="0 0 1"/>'),
+        "joint 'lift' of the root body 'torso', a slide along 0 0 1, is not understood",
+    ),
+    "ball in the base": (
+        lambda text: text.replace('axis="0 0 1"/>', 'axis="0 0 1"/> <joint name="turn" type="ball"/>'),
+        "joint 'turn' of the root body 'torso', a ball, is not understood",
+    ),
 }
 
 

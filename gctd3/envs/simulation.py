@@ -21,7 +21,7 @@ BEGINNING = 1.0
 
 @dataclass(frozen=True)
 class Start:
-    """Where an episode starts: the MJCF's reference pose, each joint off by a uniform random amount.
+    """Where an episode starts: :attr:`.Robot.start_qpos`, each joint off by a uniform random amount.
 
     Attributes:
         angle_noise: Largest deviation of a joint's angle (rad).
@@ -110,6 +110,7 @@ class Simulation:
         for i, robot in enumerate(robots):
             mujoco.mj_resetData(model, data)
             data.time = BEGINNING
+            data.qpos[:] = task.robot.start_qpos
             data.qpos[joints_q] += self.rng.uniform(-self.start.angle_noise, self.start.angle_noise, len(joints_q))
             data.qvel[joints_v] += self.rng.uniform(
                 -self.start.velocity_noise, self.start.velocity_noise, len(joints_v)
