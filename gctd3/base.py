@@ -129,9 +129,10 @@ class Base:
         """
         for joint in self.unread:
             kind, axis = joint_kind(self.model, joint), " ".join(f"{value:.3g}" for value in self.model.jnt_axis[joint])
+            what = "a ball" if kind == "ball" else f"a {kind} along {axis}"
             raise RobotError(
-                f"{file}: joint {joint_name(self.model, joint)!r} of the root body {body_name(self.model, self.root)!r}, "
-                f"{'a ball' if kind == 'ball' else f'a {kind} along {axis}'}, is not understood: "
+                f"{file}: joint {joint_name(self.model, joint)!r} of the root body "
+                f"{body_name(self.model, self.root)!r}, {what}, is not understood: "
                 "a base is a free joint, or at most one slide and one hinge along each of the world's axes."
             )
 

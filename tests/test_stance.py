@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from robots import TWO_LEGS, write
+from robots import FREE_LEGS, TWO_LEGS, write
 
 from gctd3.envs.dmc import load
 from gctd3.envs.gait import WalkingTask
@@ -15,8 +15,6 @@ from gctd3.perturb import resting_action
 from gctd3.robot import Robot
 
 STILL = Start(angle_noise=0.0, velocity_noise=0.0)
-FREE = TWO_LEGS.replace('<joint name="x" type="slide" axis="1 0 0"/> <joint name="z" type="slide" axis="0 0 1"/>', "")
-FREE = FREE.replace('pos="0 0 1">', 'pos="0 0 1"> <freejoint/>')
 HILL = '<asset><hfield name="hill" nrow="2" ncol="2" size="5 5 1 1" elevation="0 1 0 1"/></asset><worldbody>'
 # Legs of 0.52 m swung forward by 0.6 rad: 0.5 m cos 0.6 and the sphere of 0.02 m at their ends.
 CROUCHED = 0.5 * np.cos(0.6) + 0.02
@@ -58,7 +56,7 @@ def test_shipped_robots_drop_from_their_reference_pose(name):
         np.testing.assert_array_equal(simulation.qpos[0], data.qpos)
 
 
-@pytest.mark.parametrize("text", [TWO_LEGS, TWO_LEGS.replace('axis="0 0 1"', 'axis="0 0 -1"'), FREE])
+@pytest.mark.parametrize("text", [TWO_LEGS, TWO_LEGS.replace('axis="0 0 1"', 'axis="0 0 -1"'), FREE_LEGS])
 @pytest.mark.parametrize("spawned", [1.0, 0.3, 0.0])
 def test_without_a_key_it_stands_where_its_feet_touch(tmp_path, text, spawned):
     robot = Robot.from_mjcf(write(tmp_path, text.replace('pos="0 0 1"', f'pos="0 0 {spawned}"')))
@@ -92,7 +90,7 @@ def test_a_small_drop_is_left_as_it_is(tmp_path):
 
 @pytest.mark.parametrize("name", ["stand", "home"])
 @pytest.mark.parametrize(
-    ("text", "base"), [(TWO_LEGS, (0, CROUCHED - 1.0)), (FREE, (0, 0, CROUCHED, 1, 0, 0, 0))], ids=["boom", "free"]
+    ("text", "base"), [(TWO_LEGS, (0, CROUCHED - 1.0)), (FREE_LEGS, (0, 0, CROUCHED, 1, 0, 0, 0))], ids=["boom", "free"]
 )
 def test_it_starts_in_the_named_pose(tmp_path, name, text, base):
     path = write(tmp_path, key(text, name, *base, 0.6, -0.6))
