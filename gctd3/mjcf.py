@@ -72,8 +72,13 @@ def load_mjcf(source: str | Path | mujoco.MjModel | mujoco.MjSpec) -> tuple[mujo
     """The compiled model of a file, a shipped robot or a model in memory, and what to call it in messages.
 
     Raises:
-        RobotError: If there is no such file, or MuJoCo cannot compile it.
+        RobotError: If there is no such file, or MuJoCo cannot compile it, or the source is something else.
     """
+    if not isinstance(source, (str, Path, mujoco.MjModel, mujoco.MjSpec)):
+        raise RobotError(
+            "A robot is the path of an MJCF file, the name of one that ships with the library, a mujoco.MjModel or a "
+            f"mujoco.MjSpec, got {source!r} of type {type(source).__name__}."
+        )
     if isinstance(source, mujoco.MjModel):
         name = bytes(source.names).split(b"\0", 1)[0].decode()
         return source, Path(f"<{name or 'a model'} in memory>")

@@ -50,7 +50,7 @@ class Robot:
     def from_mjcf(
         cls,
         source: str | Path | mujoco.MjModel | mujoco.MjSpec,
-        feet: Sequence[str] | None = None,
+        feet: str | Sequence[str] | None = None,
         forward: Axis | None = None,
     ) -> Robot:
         """Read a robot.

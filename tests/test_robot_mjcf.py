@@ -2,6 +2,7 @@
 
 import re
 
+import mujoco
 import pytest
 from robots import TWO_LEGS, write
 
@@ -20,7 +21,9 @@ def test_mirror_sign_of_a_pair_of_axes(tmp_path, one, two, sign):
 def test_feet_are_the_legs_ends_unless_chosen(tmp_path):
     path = write(tmp_path, TWO_LEGS)
     assert Robot.from_mjcf(path).feet == ("leg_r", "leg_l")
-    assert Robot.from_mjcf(path, feet=["leg_l"]).feet == ("leg_l",)
+    assert Robot.from_mjcf(path, feet=["leg_l"]).feet == Robot.from_mjcf(path, feet="leg_l").feet == ("leg_l",)
+    with pytest.raises(RobotError, match=r"has no body 'leg'\. Did you mean"):
+        Robot.from_mjcf(path, feet="leg")
 
 
 def test_a_foot_is_the_end_of_a_leg(tmp_path):
@@ -81,6 +84,14 @@ def test_missing_files_and_unknown_names(tmp_path, robot):
         Robot.from_mjcf("biped", feet=["toe"])
     with pytest.raises(RobotError, match=r"biped\.xml has no joint 'toe'; it has hip_right"):
         robot.joint("toe")
+
+
+def test_sources_that_are_none(robot):
+    for source in (None, mujoco.MjData(robot.model), 7):
+        with pytest.raises(
+            RobotError, match=rf"path of an MJCF file.*MjModel or a mujoco\.MjSpec, got .*{type(source).__name__}"
+        ):
+            Robot.from_mjcf(source)
 
 
 def test_base_without_a_slide_along_z(tmp_path):

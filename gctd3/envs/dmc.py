@@ -203,7 +203,7 @@ def load(
     return WalkEnvironment(
         physics,
         Walk(task, start, random),
-        n_sub_steps=substeps_of(task.control_dt, task.robot.model),
+        n_sub_steps=substeps_of(task.control_dt, task.robot),
         # mj_step throughout, as in the batched simulation: sensors are read where the last physics step began.
         legacy_step=False,
     )
