@@ -13,6 +13,7 @@ import numpy as np
 from gctd3.base import EXTRA
 from gctd3.errors import RobotError
 from gctd3.graph import KinematicGraph
+from gctd3.mirror import unreflected
 from gctd3.nodes import foot_slots
 from gctd3.robot import Robot
 
@@ -72,7 +73,11 @@ class Reflection:
         Args:
             robot: The robot.
             features: Features of a node in one frame.
+
+        Raises:
+            RobotError: If its base can leave the sagittal plane and its joints are not the same on both sides of it.
         """
+        _check_reflected(robot)
         graph = KinematicGraph.from_robot(robot)
         source = np.arange(graph.num_nodes * features).reshape(graph.num_nodes, features)[list(graph.mirror)]
         sign = np.ones(source.shape)
@@ -112,3 +117,16 @@ class Reflection:
         source = node * width + np.arange(history)[:, None] * self.features + feature
         sign = np.broadcast_to(self.frame.sign.reshape(shape), source.shape)
         return SignedPermutation(source.reshape(-1), sign.reshape(-1).copy())
+
+
+def _check_reflected(robot: Robot) -> None:
+    """A base that stays in the sagittal plane moves alike whatever lies to the left and to the right of it."""
+    if not {"side", "roll", "yaw"} & set(robot.base.coordinates):
+        return
+    odd = unreflected(robot.model, robot.joints, robot.mirror, robot.base.frame[1])
+    if odd:
+        raise RobotError(
+            f"{robot.path} is not the same on its left and its right, so that no motion of it has a mirror image. Set "
+            "replay.mirror=false, and network.equivariant=false if that is on; or mend these joints, whose reflection "
+            f"is neither themselves nor the joint of the other side: {', '.join(odd)}."
+        )

@@ -18,7 +18,7 @@ STAGES = [
     "errors",
     "files",
     "contract deploy",
-    "mjcf shapes feet mirror base robot",
+    "mjcf shapes feet mirror base stance servos robot",
     "nodes graph",
     "reflection",
     "envs.serial envs.reward envs.records envs.gait envs.simulation envs.simulator_state envs.batched envs.dmc "

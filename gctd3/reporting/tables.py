@@ -258,7 +258,7 @@ def settings_table(groups: Mapping[str, Sequence[Run]]) -> Table:
 def spawn_height(robot: Robot) -> float:
     """How far above standing the robot is when an episode begins (m)."""
     nothing = np.zeros(robot.model.nv)
-    spawn, standing = (robot.base.read(q, nothing)["height"][0] for q in (robot.model.qpos0, robot.standing_qpos))
+    spawn, standing = (robot.base.read(q, nothing)["height"][0] for q in (robot.start_qpos, robot.standing_qpos))
     return float(spawn - standing)
 
 
