@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Literal
 
 import mujoco
 import numpy as np
 
-from gctd3.mjcf import Joint, base_joints, joint_kind, standing_pose
+from gctd3.errors import RobotError
+from gctd3.mjcf import Joint, base_joints, body_name, joint_kind, joint_name, standing_pose
 
 Axis = Literal["x", "-x", "y", "-y"]
 AXES: dict[str, np.ndarray] = {
@@ -72,6 +74,13 @@ class Base:
                 return Coordinate(int(self.model.jnt_qposadr[joint]), int(self.model.jnt_dofadr[joint]), 1.0)
         return None
 
+    @property
+    def height(self) -> Coordinate | None:
+        """Where the coordinate along z is, if the base has one."""
+        if self.free is not None:
+            return Coordinate(self.free.qpos + 2, self.free.qvel + 2, 1.0)
+        return self.single.get("height")
+
     @cached_property
     def single(self) -> dict[str, Coordinate]:
         """Coordinates of slides and hinges along an axis of :attr:`frame`, by name."""
@@ -99,8 +108,33 @@ class Base:
             return "free"
         known = {frozenset(): "fixed", frozenset(("forward", "height")): "boom"}
         known[frozenset(("forward", "height", "pitch"))] = "planar"
-        complete = len(self.single) == len(base_joints(self.model, self.root))
-        return known.get(frozenset(self.single), "other") if complete else "other"
+        return "other" if self.unread else known.get(frozenset(self.single), "other")
+
+    @property
+    def unread(self) -> tuple[int, ...]:
+        """Indices of the joints that no coordinate holds: balls, axes that are none of :attr:`frame`, repeated ones."""
+        if self.free is not None:
+            return ()
+        held = {coordinate.qpos for coordinate in self.single.values()}
+        return tuple(j for j in base_joints(self.model, self.root) if int(self.model.jnt_qposadr[j]) not in held)
+
+    def check_read(self, file: Path) -> None:
+        """Check that the coordinates say all of how the root body moves.
+
+        Args:
+            file: What to call the MJCF.
+
+        Raises:
+            RobotError: If a joint is :attr:`unread`; the message names it.
+        """
+        for joint in self.unread:
+            kind, axis = joint_kind(self.model, joint), " ".join(f"{value:.3g}" for value in self.model.jnt_axis[joint])
+            what = "a ball" if kind == "ball" else f"a {kind} along {axis}"
+            raise RobotError(
+                f"{file}: joint {joint_name(self.model, joint)!r} of the root body "
+                f"{body_name(self.model, self.root)!r}, {what}, is not understood: "
+                "a base is a free joint, or at most one slide and one hinge along each of the world's axes."
+            )
 
     @property
     def coordinates(self) -> tuple[str, ...]:

@@ -128,7 +128,7 @@ def _servo(robot: Robot, index: int, most_change: float) -> Servo:
         joint=joint.name,
         low_rad=low,
         high_rad=high,
-        start_rad=float(np.clip(model.qpos0[joint.qpos], low, high)),
+        start_rad=float(np.clip(robot.start_qpos[joint.qpos], low, high)),
         most_change_rad=most_change,
         kp_nm_per_rad=gain,
         kd_nm_s_per_rad=float(-bias[2]),

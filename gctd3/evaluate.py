@@ -20,7 +20,7 @@ from gctd3.episode import LAST_METRES, Episode
 from gctd3.errors import RunError
 from gctd3.evaluation import Judging, evaluate
 from gctd3.files import new_file, write_text
-from gctd3.gait_summary import OF_STRIDES, summarize
+from gctd3.gait_summary import OF_STRIDES, summarize, why_missing
 from gctd3.robot import Robot
 from gctd3.robustness import Examination, Perturbations
 from gctd3.robustness import table as robustness_table
@@ -177,7 +177,7 @@ def table(report: dict[str, object]) -> str:
     lines += ["", f"Gait over the last {LAST_METRES:.0f} m of {gait['episodes']:.0f} episodes"]
     for key, value in gait.items():
         if key != "episodes":
-            said = f"{value:.4g}" if value is not None else "not periodic" if key in OF_STRIDES else "undefined"
+            said = f"{value:.4g}" if value is not None else why_missing(gait, key) if key in OF_STRIDES else "undefined"
             lines.append(f"{key.replace('_', ' '):34}{said:>18}")
     return "\n".join(lines)
 

@@ -183,7 +183,7 @@ def rehearse(
     hook.remove()
     nodes, actions = (torch.stack(column, dim=1).numpy() for column in zip(*seen, strict=True))
     desired = robots.base_env.simulation.desired(actions.astype(np.float64))
-    start = robot.model.qpos0[[robot.joint(name).qpos for name in robot.actuated]]
+    start = robot.start_qpos[[robot.joint(name).qpos for name in robot.actuated]]
     lengths = [len(episode.position) for episode in result.episodes]
     paths = [np.concatenate([start[None], path[:steps]]) for path, steps in zip(desired, lengths, strict=True)]
     change = np.max([np.abs(np.diff(path, axis=0)).max(axis=0) for path in paths], axis=0)

@@ -15,8 +15,8 @@ from gctd3.shapes import lowest_point
 _TOUCHING = 0.05  # of the robot's height: how far above the lowest foot another one still stands
 
 
-def named_feet(model: mujoco.MjModel, root: int, names: Sequence[str], file: Path) -> list[str]:
-    """The bodies of that name, or that carry the geom of that name.
+def named_feet(model: mujoco.MjModel, root: int, names: str | Sequence[str], file: Path) -> list[str]:
+    """The bodies of that name, or that carry the geom of that name; one name may stand alone.
 
     Raises:
         RobotError: If there is neither such a body nor such a geom, or none is named.
@@ -24,7 +24,7 @@ def named_feet(model: mujoco.MjModel, root: int, names: Sequence[str], file: Pat
     bodies = {body_name(model, b): b for b in bodies_below(model, root)}
     geoms = {model.geom(g).name: int(model.geom_bodyid[g]) for g in range(model.ngeom) if model.geom(g).name}
     feet = []
-    for name in names:
+    for name in [names] if isinstance(names, str) else names:
         body = bodies.get(name, geoms.get(name))
         if body is None or body not in bodies.values():
             raise RobotError(f"{file} has no body {name!r}.{suggest(name, bodies)} Its bodies are {', '.join(bodies)}.")

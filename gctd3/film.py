@@ -79,7 +79,13 @@ def check_camera(robot: Robot, camera: str) -> None:
 
 
 def draw(
-    walk: Walk, robot: Robot, steps: Sequence[int] | np.ndarray, camera: str, size: tuple[int, int], dt: float
+    walk: Walk,
+    robot: Robot,
+    steps: Sequence[int] | np.ndarray,
+    camera: str,
+    size: tuple[int, int],
+    dt: float,
+    words: bool = True,
 ) -> Iterator[Image.Image]:
     """The frames of ``steps``, each with its time, distance, speed, reward and return, and a mark at every metre.
 
@@ -90,6 +96,7 @@ def draw(
         camera: Of the MJCF, or one of :data:`VIEWS`.
         size: Width and height (pixels).
         dt: Control period (s).
+        words: Whether numbers are drawn, those of the marks too.
 
     Raises:
         ConfigError: If the robot has no such camera.
@@ -105,13 +112,14 @@ def draw(
             mujoco.mj_forward(model, data)
             canvas.look(data, _camera(robot, data, camera))
             for metre in MARKS:
-                _mark(canvas.scene, robot, origin, int(walk.position[step]) + metre)
+                _mark(canvas.scene, robot, origin, int(walk.position[step]) + metre, words)
             frame = Image.fromarray(canvas.draw())
-            text = (
-                f"{(step + 1) * dt:.2f} s   {walk.position[step]:.2f} m   {walk.velocity[step]:.2f} m/s\n"
-                f"reward {walk.reward[step]:.2f}   return {total[step]:.0f}"
-            )
-            ImageDraw.Draw(frame).text((8, 6), text, fill=_INK, font=font)
+            if words:
+                text = (
+                    f"{(step + 1) * dt:.2f} s   {walk.position[step]:.2f} m   {walk.velocity[step]:.2f} m/s\n"
+                    f"reward {walk.reward[step]:.2f}   return {total[step]:.0f}"
+                )
+                ImageDraw.Draw(frame).text((8, 6), text, fill=_INK, font=font)
             yield frame
 
 
@@ -124,8 +132,8 @@ def start_point(robot: Robot) -> np.ndarray:
     return np.array([root[0], root[1], lowest_point(robot.model, data, feet) if feet else 0.0])
 
 
-def _mark(scene: mujoco.MjvScene, robot: Robot, origin: np.ndarray, metre: int) -> None:
-    """A line across the way, with its distance from the start."""
+def _mark(scene: mujoco.MjvScene, robot: Robot, origin: np.ndarray, metre: int, words: bool) -> None:
+    """A line across the way, with its distance from the start if there are to be ``words``."""
     if metre < 0 or scene.ngeom + 2 > scene.maxgeom:
         return
     forward, side, up = robot.base.frame
@@ -134,10 +142,12 @@ def _mark(scene: mujoco.MjvScene, robot: Robot, origin: np.ndarray, metre: int) 
     line = scene.geoms[scene.ngeom]
     half = np.array([0.01 if metre % 5 else 0.025, 0.6, 5e-4])
     mujoco.mjv_initGeom(line, mujoco.mjtGeom.mjGEOM_BOX, half, place, turn.ravel(), _PAINT)
-    words = scene.geoms[scene.ngeom + 1]
-    mujoco.mjv_initGeom(words, mujoco.mjtGeom.mjGEOM_LABEL, half, place - half[1] * side, turn.ravel(), _PAINT)
-    words.label = f"{metre} m"
-    scene.ngeom += 2
+    scene.ngeom += 1
+    if words:
+        label = scene.geoms[scene.ngeom]
+        mujoco.mjv_initGeom(label, mujoco.mjtGeom.mjGEOM_LABEL, half, place - half[1] * side, turn.ravel(), _PAINT)
+        label.label = f"{metre} m"
+        scene.ngeom += 1
 
 
 def _camera(robot: Robot, data: mujoco.MjData, name: str) -> mujoco.MjvCamera:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+SHORTEST = 2  # samples; a contact or an interruption that is no longer is the sensor's
 DROPPED = 2  # strides of each foot at the start that are not counted: the gait has yet to settle
 FEWEST = 3  # strides of a foot below which nothing is said of its period
 LARGEST_VARIATION = 0.25  # of a periodic gait's stride times; people walk at 0.02 to 0.03 (Hausdorff 2005)
@@ -36,14 +37,14 @@ def support_fractions(feet_down: np.ndarray) -> tuple[float, float, float]:
     return float((down == 0).mean()), float((down == 1).mean()), float((down > 1).mean())
 
 
-def debounce(contact: np.ndarray, steps: int = 2) -> np.ndarray:
-    """The contact signal ``[T]`` without interruptions and touches of at most ``steps`` samples."""
+def debounce(contact: np.ndarray, gap: int = SHORTEST, touch: int = SHORTEST) -> np.ndarray:
+    """The contact signal ``[T]`` without interruptions of at most ``gap`` samples and touches of at most ``touch``."""
     clean = np.array(contact, dtype=bool)
     # Gaps first: a bouncing touchdown is one stance, not several.
-    for state in (False, True):
+    for state, longest in ((False, gap), (True, touch)):
         changes = np.flatnonzero(np.diff(clean)) + 1
         for begin, end in itertools.pairwise(changes):
-            if clean[begin] == state and end - begin <= steps:
+            if clean[begin] == state and end - begin <= longest:
                 clean[begin:end] = not state
     return clean
 
@@ -123,10 +124,17 @@ def phase_offset(strides: np.ndarray, touchdowns: np.ndarray) -> float:
         strides: Of the one foot, shape ``[K, 2]``.
         touchdowns: Of the other foot, shape ``[M]``.
     """
-    phases = [(t - begin) / (end - begin) for begin, end in strides for t in touchdowns if begin <= t < end]
-    if not phases:
+    return circular_mean(
+        [(t - begin) / (end - begin) for begin, end in strides for t in touchdowns if begin <= t < end]
+    )
+
+
+def circular_mean(phases: Sequence[float]) -> float:
+    """Mean of fractions of a stride, in [0, 1): that of 0.9 and 0.1 is 0. Those that are NaN are left out."""
+    known = np.array([phase for phase in phases if np.isfinite(phase)])
+    if not len(known):
         return float("nan")
-    mean = np.angle(np.exp(2j * np.pi * np.array(phases)).mean()) / (2 * np.pi)
+    mean = np.angle(np.exp(2j * np.pi * known).mean()) / (2 * np.pi)
     # Rounded, since an offset of nothing may come out as the smallest negative number, which is 1 and not 0.
     return float(np.round(mean, 12) % 1.0)
 

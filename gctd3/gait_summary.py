@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +17,7 @@ from gctd3.robot import Robot
 # What only a gait with strides has; `null` where there are none.
 OF_STRIDES = (
     "stride_time",
+    "stride_frequency",
     "stride_variation",
     "duty_factor",
     "phase_offset",
@@ -57,9 +58,12 @@ class Gait:
 
     @cached_property
     def feet_down(self) -> np.ndarray:
-        """Contacts without what is too short for a swing or a stance of this gait, shape ``[T, feet]``."""
-        shortest = int(gait_metrics.SHORTEST_SWING * (self.lag or 0))
-        return np.stack([gait_metrics.debounce(foot, max(shortest, 2)) for foot in self.episode.feet_down.T], axis=1)
+        """Contacts without bounces, shape ``[T, feet]``: what is too short for a swing of this gait is none.
+
+        A stance may be that short: the faster a robot runs, the shorter its feet are down.
+        """
+        shortest = max(int(gait_metrics.SHORTEST_SWING * (self.lag or 0)), gait_metrics.SHORTEST)
+        return np.stack([gait_metrics.debounce(foot, gap=shortest) for foot in self.episode.feet_down.T], axis=1)
 
     @cached_property
     def strides(self) -> list[np.ndarray]:
@@ -118,9 +122,10 @@ class Gait:
         return {
             "strides": float(sum(map(len, feet))),
             "stride_time": period * self.dt,
+            "stride_frequency": 1.0 / (period * self.dt),
             "stride_variation": _mean([gait_metrics.stride_variation(foot) for foot in feet]),
             "duty_factor": _mean(duty),
-            "phase_offset": _circular_mean(phases),
+            "phase_offset": gait_metrics.circular_mean(phases),
             "duty_symmetry": _mean([gait_metrics.symmetry_index(duty[i], duty[k]) for i, k in episode.pairs]),
             # Time from the one foot's touchdown to the other's, against that from the other's to the one's.
             "step_symmetry": _mean([gait_metrics.symmetry_index(phase, 1.0 - phase) for phase in phases]),
@@ -152,7 +157,7 @@ def summarize(episodes: Sequence[Episode], robot: Robot, dt: float) -> dict[str,
     """Metrics over the last 10 m, averaged over the episodes that got that far; empty if none did.
 
     ``periodic_fraction`` is the share of those with strides to judge, and ``strides`` how many they made, of all feet.
-    What only such a gait has is ``None`` if there is none.
+    What only such a gait has is ``None`` unless half of them have it: a few would not be typical.
     """
     far = [e for e in episodes if e.walked is not None and e.motion is not None]
     gaits = [Gait(e, e.motion, robot, dt) for e in far if e.motion is not None]
@@ -165,7 +170,7 @@ def summarize(episodes: Sequence[Episode], robot: Robot, dt: float) -> dict[str,
         "periodic_fraction": len(periodic) / len(gaits),
         "strides": 0.0,
     }
-    if not periodic:
+    if 2 * len(periodic) < len(gaits):
         return {**found, **dict.fromkeys(OF_STRIDES)}
     each = [gait.of_strides() for gait in periodic]
     multipliers = gait_metrics.floquet_multipliers([gait.sections for gait in periodic])
@@ -173,9 +178,15 @@ def summarize(episodes: Sequence[Episode], robot: Robot, dt: float) -> dict[str,
         **found,
         **_averages(each),
         "strides": sum(one["strides"] for one in each),
-        "phase_offset": _circular_mean([one["phase_offset"] for one in each]),
+        "phase_offset": gait_metrics.circular_mean([one["phase_offset"] for one in each]),
         "floquet_max": None if multipliers is None else float(np.abs(multipliers[0])),
     }
+
+
+def why_missing(gait: Mapping[str, float | None], key: str) -> str:
+    """What to say of a metric of ``OF_STRIDES`` that :func:`summarize` found ``None``."""
+    fraction = gait.get("periodic_fraction") or 0.0
+    return "too few strides" if key == "floquet_max" and 2 * fraction >= 1 else "not periodic"
 
 
 def _averages(rows: Sequence[dict[str, float]]) -> dict[str, float]:
@@ -185,10 +196,3 @@ def _averages(rows: Sequence[dict[str, float]]) -> dict[str, float]:
 def _mean(values: Sequence[float]) -> float:
     known = [value for value in values if math.isfinite(value)]
     return float(np.mean(known)) if known else math.nan
-
-
-def _circular_mean(phases: Sequence[float]) -> float:
-    known = np.array([phase for phase in phases if math.isfinite(phase)])
-    if not len(known):
-        return math.nan
-    return float(np.round(np.angle(np.exp(2j * np.pi * known).mean()) / (2 * np.pi), 12) % 1.0)

@@ -21,13 +21,16 @@ _NEAR = 0.02  # of the robot's extent: how far a reflected joint may lie from it
 def swap_side(name: str, known: Collection[str]) -> str:
     """``name`` with its side exchanged, or dropped or added, if that is one of ``known``; else ``name``.
 
-    ``hip_right`` and ``hip_left`` are a pair, and so are ``thigh`` and ``thigh_left``.
+    ``hip_right`` and ``hip_left`` are a pair, and so are ``thigh`` and ``thigh_left``, ``rfemur`` and ``lfemur``.
     """
     for right, left in _SIDES:
         for here, there in ((right, left), (left, right)):
             swapped = re.sub(rf"(?<![a-zA-Z]){here}(?![a-zA-Z])", there, name)
             if swapped != name and swapped in known:
                 return swapped
+    glued = {"r": "l", "l": "r", "R": "L", "L": "R"}.get(name[:1], name[:1]) + name[1:]
+    if glued != name and glued in known:
+        return glued
     plain = without_side(name)
     if plain != name:
         return plain if plain in known else name
@@ -74,20 +77,45 @@ def reflected_sign(model: mujoco.MjModel, here: Joint, there: Joint, lateral: np
     return 1.0 if float(_reflect_axis(axes[here.id], here, lateral) @ axes[there.id]) > 0.0 else -1.0
 
 
+def unreflected(
+    model: mujoco.MjModel, joints: Sequence[Joint], pairs: Mapping[str, str], lateral: np.ndarray
+) -> list[str]:
+    """Names of the joints whose reflection is not their mirror image: it lies elsewhere, or turns about another axis.
+
+    The plane is in the middle of the pairs, or of all joints if there are none.
+
+    Args:
+        model: The model.
+        joints: The robot's joints.
+        pairs: Every joint's mirror image, see :func:`pair_joints`.
+        lateral: Unit vector across the sagittal plane, shape ``[3]``.
+    """
+    # Mirrored angles are equal or opposite ones, so that it is angles of zero that must be symmetric.
+    zero = model.qpos0.copy()
+    zero[[joint.qpos for joint in joints if joint.kind != "ball"]] = 0.0
+    places, axes = _places(model, zero)
+    ids = {joint.name: joint.id for joint in joints}
+    paired = [ids[name] for name, other in pairs.items() if other != name] or list(ids.values())
+    centre, near, found = places[paired].mean(axis=0), _near(places, joints), []
+    for joint in joints:
+        other = ids[pairs[joint.name]]
+        away = float(np.linalg.norm(_reflect_place(places[joint.id], centre, lateral) - places[other]))
+        if away > near or not _along(_reflect_axis(axes[joint.id], joint, lateral), axes[other], joint):
+            found.append(joint.name)
+    return found
+
+
 def _pairs_by_place(model: mujoco.MjModel, joints: Sequence[Joint], lateral: np.ndarray) -> dict[str, str]:
     places, axes = _places(model, standing_pose(model))
     centre = places[[joint.id for joint in joints]].mean(axis=0)
-    # Of the robot, not of the scene.
-    extent = float(np.ptp(places[[joint.id for joint in joints]], axis=0).max())
-    near, pairs = _NEAR * max(extent, 1e-6), {}
+    near, pairs = _near(places, joints), {}
     for joint in joints:
-        offset = places[joint.id] - centre
-        reflected = centre + offset - 2.0 * (offset @ lateral) * lateral
+        reflected = _reflect_place(places[joint.id], centre, lateral)
         axis = _reflect_axis(axes[joint.id], joint, lateral)
         ranked = sorted(
             (float(np.linalg.norm(places[other.id] - reflected)), k)
             for k, other in enumerate(joints)
-            if other.kind == joint.kind and (joint.kind == "ball" or abs(float(axes[other.id] @ axis)) > 0.99)
+            if other.kind == joint.kind and _along(axis, axes[other.id], joint)
         )
         if ranked and ranked[0][0] <= near:
             pairs[joint.name] = joints[ranked[0][1]].name
@@ -100,6 +128,20 @@ def _places(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[np.ndarray, np.nda
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     return data.xanchor.copy(), data.xaxis.copy()
+
+
+def _near(places: np.ndarray, joints: Sequence[Joint]) -> float:
+    """How far a reflected joint may lie from its image (m): a part of the robot's extent, not of the scene's."""
+    return _NEAR * max(float(np.ptp(places[[joint.id for joint in joints]], axis=0).max()), 1e-6)
+
+
+def _reflect_place(place: np.ndarray, centre: np.ndarray, lateral: np.ndarray) -> np.ndarray:
+    return np.asarray(place - 2.0 * float((place - centre) @ lateral) * lateral)
+
+
+def _along(axis: np.ndarray, other: np.ndarray, joint: Joint) -> bool:
+    """Whether two axes are one line; a ball has none."""
+    return joint.kind == "ball" or abs(float(axis @ other)) > 0.99
 
 
 def _reflect_axis(axis: np.ndarray, joint: Joint, lateral: np.ndarray) -> np.ndarray:

@@ -72,8 +72,13 @@ def load_mjcf(source: str | Path | mujoco.MjModel | mujoco.MjSpec) -> tuple[mujo
     """The compiled model of a file, a shipped robot or a model in memory, and what to call it in messages.
 
     Raises:
-        RobotError: If there is no such file, or MuJoCo cannot compile it.
+        RobotError: If there is no such file, or MuJoCo cannot compile it, or the source is something else.
     """
+    if not isinstance(source, (str, Path, mujoco.MjModel, mujoco.MjSpec)):
+        raise RobotError(
+            "A robot is the path of an MJCF file, the name of one that ships with the library, a mujoco.MjModel or a "
+            f"mujoco.MjSpec, got {source!r} of type {type(source).__name__}."
+        )
     if isinstance(source, mujoco.MjModel):
         name = bytes(source.names).split(b"\0", 1)[0].decode()
         return source, Path(f"<{name or 'a model'} in memory>")
@@ -213,16 +218,24 @@ def leaf_bodies(model: mujoco.MjModel, root: int) -> list[int]:
     return [body for body in colliding if body not in inner]
 
 
-def standing_pose(model: mujoco.MjModel) -> np.ndarray:
-    """``qpos`` in which the robot stands, shape ``[nq]``.
+def named_pose(model: mujoco.MjModel) -> tuple[str, np.ndarray] | None:
+    """What the MJCF calls the standing pose, and its ``qpos`` ``[nq]``; ``None`` if it names none.
 
-    The key named ``stand``; else the custom numeric ``init_qpos`` (Gymnasium's older models); else the reference pose.
+    The key ``stand``; else the key ``home`` (MuJoCo Menagerie); else the custom numeric ``init_qpos`` (Gymnasium's
+    older models).
     """
-    for key in range(model.nkey):
-        if model.key(key).name == "stand":
-            return model.key_qpos[key].copy()
+    keys = {model.key(key).name: key for key in reversed(range(model.nkey))}
+    for name in ("stand", "home"):
+        if name in keys:
+            return f"key {name!r}", model.key_qpos[keys[name]].copy()
     for i in range(model.nnumeric):
         if model.numeric(i).name == "init_qpos" and int(model.numeric_size[i]) == model.nq:
             start = int(model.numeric_adr[i])
-            return model.numeric_data[start : start + model.nq].copy()
-    return model.qpos0.copy()
+            return "numeric 'init_qpos'", model.numeric_data[start : start + model.nq].copy()
+    return None
+
+
+def standing_pose(model: mujoco.MjModel) -> np.ndarray:
+    """``qpos`` in which the robot stands, at whatever height if none is named: else the reference pose. ``[nq]``."""
+    named = named_pose(model)
+    return model.qpos0.copy() if named is None else named[1]

@@ -59,7 +59,7 @@ def velocity_change(robot: Robot, qpos: np.ndarray, impulse: np.ndarray) -> np.n
 def resting_action(robot: Robot) -> torch.Tensor:
     """The action that asks the servos for the pose in which episodes begin, shape ``[A]``, in [-1, 1]."""
     model = robot.model
-    angles = model.qpos0[model.jnt_qposadr[model.actuator_trnid[:, 0]]] * model.actuator_gear[:, 0]
+    angles = robot.start_qpos[model.jnt_qposadr[model.actuator_trnid[:, 0]]] * model.actuator_gear[:, 0]
     low, high = robot.action_range.T
     action = np.clip((angles - (low + high) / 2) / ((high - low) / 2), -1.0, 1.0)
     return torch.from_numpy(action.astype(np.float32))

@@ -23,6 +23,7 @@ STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.alpha": 0.18,
     "grid.color": INK,
     "text.color": INK,
@@ -32,6 +33,14 @@ STYLE: dict[Any, Any] = {
     "xtick.color": INK,
     "ytick.color": INK,
     "figure.constrained_layout.use": True,
+}
+# Of a legend.
+_PLAIN: dict[str, Any] = {
+    "frameon": False,
+    "fontsize": 8,
+    "labelcolor": INK,
+    "handlelength": 1.2,
+    "columnspacing": 1.2,
 }
 
 
@@ -58,9 +67,12 @@ def legend(ax: Axes) -> None:
         bbox_to_anchor=(0.5, 1.0),
         ncols=max(1, min(4, int(72 * WIDTH / widest))),
         borderaxespad=0.1,
-        frameon=False,
-        fontsize=8,
-        labelcolor=INK,
-        handlelength=1.2,
-        columnspacing=1.2,
+        **_PLAIN,
     )
+
+
+def legend_of_all(figure: Figure, ax: Axes) -> None:
+    """What lines of ``ax`` mean, above all axes of the figure, for they mean the same there."""
+    shown = figure.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=4, **_PLAIN)
+    for line in shown.get_lines():
+        line.set_linewidth(1.5)  # thin lines have a colour that is hard to tell

@@ -13,6 +13,7 @@ import numpy as np
 from gctd3.base import EXTRA
 from gctd3.errors import RobotError
 from gctd3.graph import KinematicGraph
+from gctd3.mirror import unreflected
 from gctd3.nodes import foot_slots
 from gctd3.robot import Robot
 
@@ -77,8 +78,10 @@ class Reflection:
             static: Features of a node behind all frames that never change, as :meth:`.NodeSensor.static` has them.
 
         Raises:
-            RobotError: If the robot has a ball joint.
+            RobotError: If it has a ball joint, or its base can leave the sagittal plane and its joints are not the same
+                on both sides of it.
         """
+        _check_reflected(robot)
         graph = KinematicGraph.from_robot(robot)
         if balls := [name for name, kind in zip(graph.nodes, graph.kinds, strict=True) if kind == "ball"]:
             raise RobotError(
@@ -134,4 +137,17 @@ class Reflection:
         return SignedPermutation(
             np.concatenate([source.reshape(count, -1), still], axis=1).reshape(-1),
             np.concatenate([sign.reshape(count, -1), np.ones(still.shape)], axis=1).reshape(-1),
+        )
+
+
+def _check_reflected(robot: Robot) -> None:
+    """A base that stays in the sagittal plane moves alike whatever lies to the left and to the right of it."""
+    if not {"side", "roll", "yaw"} & set(robot.base.coordinates):
+        return
+    odd = unreflected(robot.model, robot.joints, robot.mirror, robot.base.frame[1])
+    if odd:
+        raise RobotError(
+            f"{robot.path} is not the same on its left and its right, so that no motion of it has a mirror image. Set "
+            "replay.mirror=false, and network.equivariant=false if that is on; or mend these joints, whose reflection "
+            f"is neither themselves nor the joint of the other side: {', '.join(odd)}."
         )

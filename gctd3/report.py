@@ -20,14 +20,15 @@ from gctd3.evaluation import Judging
 from gctd3.files import write_text
 from gctd3.reporting.groups import groups_of, typical, with_trace
 from gctd3.reporting.keep import check_keep, keep
-from gctd3.reporting.runs import Run, check_together, evaluated, find_runs
+from gctd3.reporting.place import FIGURES, PAGE, TABLES, VERDICT, check_place, in_place
+from gctd3.reporting.runs import Run, evaluated, find_runs, lost_runs
+from gctd3.reporting.together import check_judging, check_seeds, check_together
 from gctd3.robot import Robot
 from gctd3.settings import build
 
 if TYPE_CHECKING:
     from gctd3.reporting.figures import Gallery, Picture
 
-PAGE = "index.html"
 NEEDED = ("rliable", "matplotlib")
 
 
@@ -37,7 +38,7 @@ class ReportSettings(Judging):
 
     Attributes:
         runs: Directory below which the runs are.
-        out: Directory to write to.
+        out: Directory to write to: empty, not there yet, or that of an earlier report, which is replaced.
         keep_runs: Whether to copy there, as ``runs``, what the numbers were made of.
     """
 
@@ -54,32 +55,45 @@ def report(settings: ReportSettings) -> Path:
 
     Raises:
         ConfigError: If a package is missing.
-        RunError: If there are no runs, they do not belong together, or none has a policy.
+        RunError: If there are no runs, they do not belong together, none has a policy, or ``out`` holds something else.
     """
     missing = [package for package in NEEDED if find_spec(package) is None]
     if missing:
         raise ConfigError(f"report needs {', '.join(missing)}: pip install 'gctd3[report]'.")
+    root, out = Path(settings.runs), Path(settings.out)
     if settings.keep_runs:
-        check_keep(Path(settings.runs), Path(settings.out))
-    runs = find_runs(Path(settings.runs))
+        check_keep(root, out)
+    check_place(out, root)
+    runs, lost = find_runs(root), lost_runs(root)
     check_together(runs)
+    check_seeds(groups_of(runs))
+    check_judging(runs, settings)
     runs = evaluated(runs, settings)
+    # The new evaluations' reward among them.
+    check_together(runs)
     if all(run.evaluation is None for run in runs):
         raise RunError(f"None of the {len(runs)} runs below {settings.runs} could be evaluated: {runs[0].failure}")
     groups = groups_of(runs)
-    page = write(groups, Path(settings.out))
+    with in_place(out) as aside:
+        write(groups, aside, lost)
     if settings.keep_runs:
-        keep(groups, Path(settings.out))
-    return page
+        keep(groups, out, lost)
+    return out / PAGE
 
 
-def write(groups: Mapping[str, Sequence[Run]], out: Path) -> Path:
-    """Write the report of runs by group; see :func:`report`."""
+def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = ()) -> None:
+    """Write the report of runs by group; see :func:`report`.
+
+    Args:
+        groups: The runs.
+        out: Directory to write to.
+        lost: Names of runs without a configuration.
+    """
     # Imported late, so that a wrong setting is answered at once.
     from gctd3.reporting import figures, tables
     from gctd3.reporting.clock import time_limit
     from gctd3.reporting.page import page
-    from gctd3.reporting.verdict import verdict
+    from gctd3.reporting.verdict import unlike_machines, verdict
 
     runs = [run for members in groups.values() for run in members]
     config = runs[0].config
@@ -88,7 +102,7 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path) -> Path:
     named = [config.get(f"robot.{key}") for key in ("name", "feet", "forward")]
     robot = Robot.from_mjcf(*named) if walks else None
     subject = Path(str(named[0])).stem if walks else str(config["env.task"])
-    gallery = figures.Gallery(out / "figures")
+    gallery = figures.Gallery(out / FIGURES)
 
     limit = time_limit(groups)
     learning = []
@@ -126,7 +140,7 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path) -> Path:
     sections: list[tuple[str, list[object]]] = [
         ("Learning", [*learning]),
         ("Table 5", [table5, *compared]),
-        ("Equal wall-clock", [tables.equal_time(groups, limit)] if limit is not None else []),
+        ("Equal wall-clock", [tables.equal_time(groups, limit), *unlike_machines(groups)] if limit is not None else []),
         ("Gait", [*_gaits(groups), *(_gait_pictures(groups, robot, gallery) if robot is not None else [])]),
         ("Robustness", _robustness(groups, gallery)),
         ("Runs", [tables.runs_table(groups)]),
@@ -135,13 +149,12 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path) -> Path:
     for _, things in sections:
         for thing in things:
             if isinstance(thing, tables.Table):
-                (out / "tables").mkdir(parents=True, exist_ok=True)
-                write_text(out / "tables" / f"{thing.name}.csv", thing.csv())
-    sentences = verdict(groups)
+                (out / TABLES).mkdir(parents=True, exist_ok=True)
+                write_text(out / TABLES / f"{thing.name}.csv", thing.csv())
+    sentences = verdict(groups, lost)
     about = f"{len(runs)} runs in {len(groups)} group{'s' * (len(groups) != 1)}, gctd3 {gctd3.__version__}."
     write_text(out / PAGE, page(f"{subject}: {', '.join(groups)}", about, sentences, sections))
-    write_text(out / "verdict.txt", "\n".join(sentences) + "\n")
-    return out / PAGE
+    write_text(out / VERDICT, "\n".join(sentences) + "\n")
 
 
 def _gaits(groups: Mapping[str, Sequence[Run]]) -> list[object]:
@@ -152,7 +165,7 @@ def _gaits(groups: Mapping[str, Sequence[Run]]) -> list[object]:
 
 
 def _gait_pictures(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: Gallery) -> list[object]:
-    """Of each group what cannot be shown, and a row: a stride, joints, phase portraits above contacts."""
+    """Of each group what cannot be shown, and below a stride a row: joints, phase portraits, contacts."""
     from gctd3.reporting.filmstrips import stride_of
     from gctd3.reporting.page import Row
 
@@ -163,13 +176,13 @@ def _gait_pictures(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: G
             continue
         notes, films = [], []
         try:
-            image, what, caption = stride_of(run, robot)
+            frames, what, caption = stride_of(run, robot)
             title = f"{group}, seed {run.seed}: {what}"
-            films.append(gallery.add_image(image, f"film_{_file(group)}", title, caption))
+            films.append(gallery.add_film(frames, f"film_{_file(group)}", title, caption))
         except RenderError as error:
             notes.append(f"{group}: no filmstrip. {error}")
         contacts, others, lacking = _traces(group, typical(with_trace(runs)), robot, gallery)
-        found += [*notes, *lacking, Row([films, others[:1], [*others[1:], *contacts]])]
+        found += [*notes, *lacking, Row([[picture] for picture in (*others, *contacts)], films)]
     return found
 
 
@@ -223,7 +236,7 @@ def _robustness(groups: Mapping[str, Sequence[Run]], gallery: Gallery) -> list[o
 def _task(config: DictConfig) -> None:
     settings: ReportSettings = build(config)
     file = report(settings)
-    print((file.parent / "verdict.txt").read_text(encoding="utf-8"))
+    print((file.parent / VERDICT).read_text(encoding="utf-8"))
     print(f"Written to {file}")
 
 

@@ -17,7 +17,9 @@ from gctd3.base import AXES, Axis, Base, find_forward
 from gctd3.errors import RobotError
 from gctd3.feet import find_feet, named_feet
 from gctd3.mirror import count_reflected, pair_joints, reflected_sign, swap_side
-from gctd3.mjcf import Joint, body_name, load_mjcf, read_actuated, read_joints, root_body, standing_pose
+from gctd3.mjcf import Joint, body_name, load_mjcf, read_actuated, read_joints, root_body
+from gctd3.servos import check_servos
+from gctd3.stance import check_standing, find_standing, find_start
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Robot:
     def from_mjcf(
         cls,
         source: str | Path | mujoco.MjModel | mujoco.MjSpec,
-        feet: Sequence[str] | None = None,
+        feet: str | Sequence[str] | None = None,
         forward: Axis | None = None,
     ) -> Robot:
         """Read a robot.
@@ -105,8 +107,13 @@ class Robot:
 
     @cached_property
     def standing_qpos(self) -> np.ndarray:
-        """``qpos`` of the key ``stand``, or the model's reference pose; see :func:`.standing_pose`. Shape ``[nq]``."""
-        return standing_pose(self.model)
+        """``qpos`` in which it stands, from which heights count; see :func:`.find_standing`. Shape ``[nq]``."""
+        return find_standing(self.base, [self._bodies[foot] for foot in self.feet])
+
+    @cached_property
+    def start_qpos(self) -> np.ndarray:
+        """``qpos`` in which episodes begin, but for their noise; see :func:`.find_start`. Shape ``[nq]``."""
+        return find_start(self.base, self.standing_qpos)
 
     # Joints and actuators.
 
@@ -258,28 +265,17 @@ class Robot:
             RobotError: If something is missing; the message says what to add.
         """
         model, file = self.model, self.path
-        if model.nu == 0:
-            raise RobotError(f"{file} has no actuator: add a <position> for every joint that the policy is to move.")
+        self.base.check_read(file)
         _ = self.forward, self.vertical
         for joint in self.joints:
             if joint.kind != "hinge":
                 raise RobotError(
                     f"{file}: joint {joint.name!r} of body {joint.body!r} must be a hinge, is a {joint.kind}."
                 )
-        ids = {joint.id for joint in self.joints}
-        for i in range(model.nu):
-            name, joint_id = model.actuator(i).name or str(i), int(model.actuator_trnid[i, 0])
-            if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT:
-                raise RobotError(f"{file}: actuator {name!r} does not drive a joint.")
-            if joint_id not in ids:
-                driven = model.joint(joint_id).name
-                raise RobotError(f"{file}: actuator {name!r} drives {driven!r}, which is not a joint below the root.")
-            if model.actuator_biastype[i] != mujoco.mjtBias.mjBIAS_AFFINE or model.actuator_biasprm[i, 1] >= 0:
-                raise RobotError(f"{file}: actuator {name!r} must be a <position> servo: actions are desired angles.")
-            if not model.actuator_ctrllimited[i]:
-                raise RobotError(f"{file}: actuator {name!r} needs a ctrlrange (rad), onto which actions are mapped.")
+        check_servos(model, self.joints, file)
         for foot, leg in zip(self.feet, self.legs, strict=True):
             if not leg:
                 raise RobotError(f"{file}: foot {foot!r} hangs on no joint, so it is no leg's end; name other feet.")
         self.contact_sensors(self.feet)
+        check_standing(self.base, [self._bodies[foot] for foot in self.feet], file)
         _ = self.action_mirror

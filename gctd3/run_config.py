@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from hydra import compose
 from hydra.errors import MissingConfigException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
@@ -110,7 +110,7 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
     Raises:
         RunError: If they would change what the run is; the message lists the differences.
     """
-    config, first = load_config(run), _first(run)
+    config, first = load_config(run), command_line(run)
     own = ("resume", "hydra.run.dir", "hydra.output_subdir")
     # The run's own choices are said again so that Hydra knows their keys; twice they would be too many.
     new = [item for item in overrides if item.split("=", 1)[0] not in own and item not in first]
@@ -142,7 +142,7 @@ def choices(run: Path, arguments: Sequence[str]) -> list[str]:
     """
     chosen = {chooses(argument) for argument in arguments}
     elsewhere = any(argument.startswith(_ELSEWHERE) for argument in arguments)
-    own = [item for item in _first(run) if chooses(item) not in {*chosen, None}]
+    own = [item for item in command_line(run) if chooses(item) not in {*chosen, None}]
     return [item for item in own if elsewhere or ships(item)]
 
 
@@ -155,10 +155,17 @@ def _composed(root: str, overrides: list[str]) -> tuple[DictConfig, list[str]]:
         return compose(root, found), found
 
 
-def _first(run: Path) -> list[str]:
-    """The command line that a run came from."""
+def command_line(run: Path) -> list[str]:
+    """The command line that a run came from.
+
+    Raises:
+        RunError: If the run does not say.
+    """
     try:
-        return [str(item) for item in OmegaConf.load(run / OVERRIDES)]
+        items = OmegaConf.load(run / OVERRIDES)
+        if not isinstance(items, ListConfig):
+            raise TypeError("it does not hold a list")
+        return [str(item) for item in items]
     except (OSError, YAMLError, OmegaConfBaseException, UnicodeDecodeError, TypeError) as error:
         raise _unusable(run / OVERRIDES, error) from error
 

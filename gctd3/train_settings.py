@@ -285,7 +285,7 @@ class TrainSettings:
         robot, env, exploration = self.load_robot(), self.env, self.exploration
         if isinstance(env, EnvSettings):
             WalkingTask(robot, self.reward, env.endings, env.control_dt)
-            substeps_of(env.control_dt, robot.model)
+            substeps_of(env.control_dt, robot)
         if exploration.warmup == "rhythmic" and exploration.frequency[1] > 0.5 / env.control_dt:
             raise ConfigError(
                 f"exploration.frequency must be at most half a cycle a control step, {0.5 / env.control_dt:g} Hz, "

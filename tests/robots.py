@@ -31,6 +31,11 @@ TWO_LEGS = """
 </mujoco>
 """
 
+# The same on a free base.
+FREE_LEGS = TWO_LEGS.replace(
+    '<joint name="x" type="slide" axis="1 0 0"/> <joint name="z" type="slide" axis="0 0 1"/>', "<freejoint/>"
+)
+
 
 def opposite_axes(biped, folder):
     """The biped with the axes of its left joints turned round: equal motions of both legs have opposite angles."""

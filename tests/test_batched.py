@@ -13,7 +13,7 @@ from gctd3.envs.factory import EnvSettings, build_env, make_env
 from gctd3.envs.gait import WalkingTask
 from gctd3.envs.reward import Endings, Reward
 from gctd3.envs.simulation import Simulation, Start, substeps_of
-from gctd3.errors import ConfigError, NumericalError
+from gctd3.errors import ConfigError, NumericalError, RobotError
 from gctd3.robot import Robot
 
 ENDS = ("fall", "long_contact", "stuck_hip")
@@ -244,10 +244,21 @@ def test_actions_that_are_not_finite_are_refused(task, bad):
 
 def test_substeps(robot):
     timestep = robot.model.opt.timestep
-    assert [substeps_of(k * timestep, robot.model) for k in (1, 3, 4)] == [1, 3, 4]
-    for period in (0.0, -timestep, 0.5 * timestep, 1.5 * timestep):
-        with pytest.raises(ConfigError, match="control_dt must be 1 to 1,000 times the MJCF's timestep of"):
-            substeps_of(period, robot.model)
+    assert [substeps_of(k * timestep, robot) for k in (1, 3, 4)] == [1, 3, 4]
+    # 0.005 s, the biped's timestep, and what of its multiples is nearest to each.
+    for period, nearest in ((0.0, 0.005), (-0.005, 0.005), (0.0025, 0.005), (0.0123, 0.01), (0.019, 0.02), (6.0, 5.0)):
+        said = (
+            rf"times 0\.005 s, the timestep of .*biped\.xml, got {period:g} s: the nearest that fits is {nearest:g} s\."
+        )
+        with pytest.raises(ConfigError, match=said):
+            substeps_of(period, robot)
+
+
+def test_a_timestep_of_nothing_is_refused():
+    robot = Robot.from_mjcf("biped")
+    robot.model.opt.timestep = 0.0
+    with pytest.raises(RobotError, match=r"biped\.xml: the timestep must be above 0 s, got 0\.0"):
+        substeps_of(0.02, robot)
 
 
 def test_counts_below_one_are_refused(robot, task):

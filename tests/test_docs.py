@@ -97,7 +97,9 @@ def place(tmp_path_factory):
     root = tmp_path_factory.mktemp("readme")
     run = train(root / RUN, "total_frames=160")
     for seed in range(2):
-        shutil.copytree(run, root / SWEEP / "gctd3" / str(seed))
+        one = shutil.copytree(run, root / SWEEP / "gctd3" / str(seed))
+        config = one / ".hydra" / "config.yaml"
+        config.write_text(config.read_text(encoding="utf-8").replace("\nseed: 0\n", f"\nseed: {seed}\n"))
     for file in (".hydra/config.yaml", ".hydra/overrides.yaml"):
         text = (run / file).read_text(encoding="utf-8")
         (run / file).write_text(text.replace("total_frames: 160", "total_frames: 240").replace("=160", "=240"))

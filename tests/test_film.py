@@ -41,8 +41,8 @@ def test_the_walk_is_the_one_that_evaluation_judges(actor, robot, walk):
     assert len(record(actor, robot, EnvSettings(), seed=3, most_steps=5).qpos) == 5
 
 
-def frame(walk, robot, step=0, camera="side", size=(200, 160)):
-    (drawn,) = draw(walk, robot, [step], camera, size, 0.02)
+def frame(walk, robot, step=0, camera="side", size=(200, 160), words=True):
+    (drawn,) = draw(walk, robot, [step], camera, size, 0.02, words)
     assert drawn.size == size
     return np.asarray(drawn).astype(int)
 
@@ -58,6 +58,15 @@ def test_marks_lie_on_the_ground(walk, robot, monkeypatch):
 def test_numbers_are_on_top(walk, robot):
     before, after = frame(walk, robot, 0)[:40], frame(walk, robot, 9)[:40]
     assert (before < 80).all(axis=-1).sum() > 50 and (before != after).any()
+
+
+def test_a_picture_may_be_without_words(walk, robot, monkeypatch):
+    wordless = frame(walk, robot, words=False)
+    assert not (wordless[:40] < 80).all(axis=-1).any()
+    # The marks are still there, without their numbers.
+    assert (wordless != frame(walk, robot))[80:].any()
+    monkeypatch.setattr(film, "MARKS", range(0))
+    assert (wordless != frame(walk, robot, words=False))[80:].any()
 
 
 def test_a_picture_may_be_larger_than_the_mjcfs_framebuffer(walk):

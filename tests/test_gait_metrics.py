@@ -96,9 +96,11 @@ def test_debounce_by_hand(noisy, clean):
 
 
 def test_debounce_by_other_lengths():
-    assert marks(debounce(signal("..##.####..."), steps=0)) == "..##.####..."
-    assert marks(debounce(signal("###....####.#."), steps=4)) == "#############."
-    assert marks(debounce(signal("...####....."), steps=4)) == "............"
+    assert marks(debounce(signal("..##.####..."), gap=0, touch=0)) == "..##.####..."
+    assert marks(debounce(signal("###....####.#."), gap=4)) == "#############."
+    assert marks(debounce(signal("...####.....#"), touch=4)) == "............#"
+    assert marks(debounce(signal("...####....#####..."), gap=4)) == "...#############..."
+    assert marks(debounce(signal("...####.....####..."), gap=4)) == "...####.....####..."
 
 
 def test_touchdowns_by_hand():

@@ -8,6 +8,7 @@ from test_gait_metrics import signal, square
 
 from gctd3.gait_metrics import (
     DROPPED,
+    circular_mean,
     duty_factor,
     floquet_multipliers,
     is_periodic,
@@ -68,6 +69,15 @@ def test_phase_offset_is_a_circular_mean():
     # Phases 0.9 and 0.1 of strides of 10 samples: their mean is 0, not 0.5.
     assert phase_offset(np.array([[0, 10], [10, 20]]), np.array([9, 11])) == pytest.approx(0.0)
     assert math.isnan(phase_offset(np.array([[0, 10]]), np.array([30])))
+
+
+@pytest.mark.parametrize(
+    ("phases", "mean"),
+    [([0.98, 0.02, 0.97, 0.03], 0.0), ([0.9, 0.2], 0.05), ([0.4, 0.6, math.nan], 0.5), ([0.3], 0.3)],
+)
+def test_phases_go_round(phases, mean):
+    assert circular_mean(phases) == pytest.approx(mean)
+    assert math.isnan(circular_mean([math.nan]))
 
 
 def test_clearance_in_the_middle_of_a_swing():

@@ -221,6 +221,16 @@ def test_a_bounce_of_four_samples_is_no_stride(robot):
         assert bounced[name] == plain[name]
 
 
+@pytest.mark.parametrize("duty", [0.1, 0.15, 0.175, 0.225])
+def test_a_run_whose_feet_are_hardly_down_has_strides(robot, duty):
+    found = summarize([made_up(robot, period=40, duty=duty, lag=20)], robot, DT)
+    assert found["periodic_fraction"] == 1.0
+    assert found["duty_factor"] == pytest.approx(duty)
+    assert found["stride_time"] == pytest.approx(40 * DT)
+    assert found["stride_frequency"] == pytest.approx(1.25)
+    assert found["phase_offset"] == pytest.approx(0.5)
+
+
 def test_a_gait_without_strides_has_no_number_for_them(robot):
     found = summarize([made_up(robot, duty=1.0)], robot, DT)
     assert found["periodic_fraction"] == 0.0 and found["strides"] == 0.0
@@ -230,9 +240,13 @@ def test_a_gait_without_strides_has_no_number_for_them(robot):
 
 
 def test_only_periodic_episodes_count(robot):
-    found = summarize([made_up(robot), made_up(robot, duty=1.0)], robot, DT)
+    walks, slides = made_up(robot), made_up(robot, duty=1.0)
+    found = summarize([walks, slides], robot, DT)
     assert found["periodic_fraction"] == 0.5 and found["strides"] == 31
     assert found["duty_factor"] == pytest.approx(0.6)
+    mostly = summarize([walks, slides, slides], robot, DT)
+    assert mostly["periodic_fraction"] == pytest.approx(1 / 3) and mostly["strides"] == 0
+    assert all(mostly[key] is None for key in OF_STRIDES)
 
 
 # From the simulator.
@@ -278,9 +292,13 @@ def test_evaluation_writes_gait_and_trace(tmp_path, monkeypatch, capsys):
 
 
 def test_the_table_says_when_a_gait_is_not_periodic():
-    gait = {"episodes": 2, "stride_hz": 1.5, "floquet_max": None}
-    said = table({"gait": gait, "episodes": 2, "return_mean": 1.0, "return_std": 0.0})
-    assert "not periodic" in said and "1.5" in said
+    def said(**gait):
+        return table({"gait": {"episodes": 2, **gait}, "episodes": 2, "return_mean": 1.0, "return_std": 0.0})
+
+    slides = said(hip_correlation=0.25, floquet_max=None, stride_time=None)
+    assert slides.count("not periodic") == 2 and "0.25" in slides
+    short = said(periodic_fraction=1.0, stride_time=0.5, floquet_max=None)
+    assert "too few strides" in short and "not periodic" not in short
 
 
 def test_strides_of_made_up_feet(robot):

@@ -18,7 +18,7 @@ STAGES = [
     "errors",
     "files",
     "contract deploy",
-    "mjcf shapes feet mirror base robot",
+    "mjcf shapes feet mirror base stance servos robot",
     "nodes graph",
     "reflection",
     "envs.serial envs.reward envs.records envs.gait envs.simulation envs.simulator_state envs.batched envs.dmc "
@@ -46,7 +46,8 @@ STAGES = [
     "worker process_worker ray_worker workers collectors",
     "trainer",
     "train",
-    "reporting.runs reporting.groups reporting.keep reporting.statistics reporting.clock reporting.verdict "
+    "reporting.place reporting.runs reporting.together reporting.groups reporting.keep reporting.statistics "
+    "reporting.clock reporting.verdict "
     "reporting.figures reporting.tables reporting.filmstrips reporting.page reporting",
     "report",
     "__main__",

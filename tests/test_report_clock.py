@@ -11,7 +11,7 @@ pytest.importorskip("rliable")
 
 from gctd3.files import read_manifest
 from gctd3.report import ReportSettings, report
-from gctd3.reporting.clock import reached, time_limit
+from gctd3.reporting.clock import reached, time_limit, uneven
 from gctd3.reporting.groups import groups_of
 from gctd3.reporting.runs import find_runs
 from gctd3.reporting.tables import equal_time
@@ -146,3 +146,74 @@ def test_the_page_has_it_beside_table_5(sweep, tmp_path):
     with (tmp_path / "out" / "tables" / "equal_time.csv").open(encoding="utf-8") as file:
         assert [row[2] for row in csv.reader(file)][2] == "500.0 [500.0, 500.0]"
     assert "Dashed, where the groups are compared" in page
+
+
+def costs(root):
+    return [line for line in verdict(groups_of(find_runs(root))) if "a whole run took" in line]
+
+
+def test_the_verdict_says_what_runs_cost(tmp_path):
+    for seed, end in enumerate([90, 96, 108]):
+        timed(tmp_path, f"a{seed}", f"1000,10,{end},100,1.0,1")
+        timed(tmp_path, f"b{seed}", "1000,10,30,100,1.0,1", **TD3)
+    # Of 90, 96 and 108 s.
+    ours, theirs = costs(tmp_path)
+    assert ours.endswith("that was judged; a whole run took 1.6 min in the median (1.5 to 1.8).")
+    assert theirs.endswith("that was judged; a whole run took 30.0 s.")
+    for run in tmp_path.glob("a*"):
+        (run / "post_mortem").mkdir()
+    assert [line.split(":")[0] for line in costs(tmp_path)] == ["td3"]
+
+
+def many(root, *seconds):
+    """Five seeds that train that long and return much, and five that train 95 s and return little."""
+    for seed, end in enumerate(seconds):
+        timed(root, f"a{seed}", f"1000,10,{0.4 * end},800,1.0,1", f"2000,20,{end},80{seed},1.0,1", returns=800 + seed)
+        timed(root, f"b{seed}", "1000,10,40,5,0.0,1", f"2000,20,95,1{seed},0.0,1", returns=10 + seed, **TD3)
+
+
+def test_no_difference_is_sought_by_wall_clock_where_the_machine_was_shared(tmp_path):
+    many(tmp_path / "alike", 94, 95, 96, 97, 98)
+    said = verdict(groups_of(find_runs(tmp_path / "alike")))
+    # Return, velocity; return and success after 95 s. No run of td3 finishes, so that no times are compared.
+    assert said[0].startswith("In short: 4 comparisons, 3 of which show a difference")
+    assert not any("machine" in line for line in said)
+    many(tmp_path / "shared", 145, 146, 145, 146, 95)
+    said = verdict(groups_of(find_runs(tmp_path / "shared")))
+    assert said[0] == "In short: 2 comparisons, 1 of which shows a difference: gctd3 returns more than td3 (return)."
+    assert "gctd3: 5 of 5" in said[1] and "(1.6 to 2.4)" in said[1]
+    why = (
+        "Wall-clock is of little worth here, and no difference is sought by it: these runs did not all have the same "
+        "machine to themselves, for 2,000 frames took 1.6 min and 2.4 min in gctd3."
+    )
+    assert said.count(why) == 1 and not any(" min of training: " in line for line in said)
+    page = report(ReportSettings(str(tmp_path / "shared"), str(tmp_path / "out"))).read_text(encoding="utf-8")
+    section = page[page.index('id="equal-wall-clock"') : page.index('id="gait"')]
+    assert why in section and "At equal wall-clock" in section
+
+
+def test_times_to_the_finish_are_wall_clock_too(tmp_path):
+    for seed, end in enumerate([100, 100, 100, 100, 150]):
+        timed(tmp_path, f"a{seed}", f"1000,10,{end},100,1.0,1")
+        timed(tmp_path, f"b{seed}", "1000,10,20,100,1.0,1", **TD3)
+    said = "\n".join(verdict(groups_of(find_runs(tmp_path))))
+    assert "time to the first evaluation" not in said and "did not all have the same machine to themselves" in said
+
+
+@pytest.mark.parametrize(
+    "lines, apart",
+    [
+        # After 1,000 frames, which both have, 60 and 70 s; that one went on to 3,000 says nothing.
+        (("1000,10,60,1,0,1", "1000,10,70,1,0,1\n3000,30,300,1,0,1"), []),
+        (("1000,10,60,1,0,1", "1000,10,75,1,0,1"), ["1,000 frames took 1.0 min and 1.2 min in gctd3"]),
+        # Halfway between 500 frames at 20 s and 1,500 at 60 s: 40 s.
+        (("1000,10,50,1,0,1", "500,10,20,1,0,1\n1500,30,60,1,0,1"), ["1,000 frames took 40.0 s and 50.0 s in gctd3"]),
+    ],
+)
+def test_times_for_the_same_work_by_hand(tmp_path, lines, apart):
+    for seed, line in enumerate(lines):
+        timed(tmp_path, f"a{seed}", line)
+    assert uneven(groups_of(find_runs(tmp_path))) == apart
+    # One that crashed may have done so because the machine was not well.
+    (tmp_path / "a1" / "post_mortem").mkdir()
+    assert uneven(groups_of(find_runs(tmp_path))) == []

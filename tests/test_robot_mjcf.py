@@ -2,6 +2,7 @@
 
 import re
 
+import mujoco
 import pytest
 from robots import TWO_LEGS, write
 
@@ -20,7 +21,15 @@ def test_mirror_sign_of_a_pair_of_axes(tmp_path, one, two, sign):
 def test_feet_are_the_legs_ends_unless_chosen(tmp_path):
     path = write(tmp_path, TWO_LEGS)
     assert Robot.from_mjcf(path).feet == ("leg_r", "leg_l")
-    assert Robot.from_mjcf(path, feet=["leg_l"]).feet == ("leg_l",)
+    assert Robot.from_mjcf(path, feet=["leg_l"]).feet == Robot.from_mjcf(path, feet="leg_l").feet == ("leg_l",)
+    with pytest.raises(RobotError, match=r"has no body 'leg'\. Did you mean"):
+        Robot.from_mjcf(path, feet="leg")
+
+
+def test_a_foot_is_the_end_of_a_leg(tmp_path):
+    robot = Robot.from_mjcf(write(tmp_path, TWO_LEGS), feet=["torso", "leg_l"])
+    with pytest.raises(RobotError, match=r"robot\.xml: foot 'torso' hangs on no joint, so it is no leg's end"):
+        robot.check_walking()
 
 
 # Errors name the file and the element.
@@ -36,6 +45,22 @@ BAD = {
     "duplicate name": (lambda text: text.replace('name="hip_l" axis', 'name="hip_r" axis'), "'hip_r'"),
     "missing mesh": (lambda text: text.replace("<worldbody>", MISSING_MESH, 1), "paw.stl"),
     "slide in a leg": (lambda text: text.replace('name="hip_l" axis', 'type="slide" name="hip_l" axis'), "'hip_l'"),
+    "two servos on a joint": (
+        lambda text: text.replace("</actuator>", '<position name="extra" joint="hip_l" ctrlrange="-1 1"/></actuator>'),
+        "actuators 'hip_l' and 'extra' both drive joint 'hip_l'",
+    ),
+    "slide across the axes": (
+        lambda text: text.replace('axis="1 0 0"', 'axis="1 0 1"'),
+        "joint 'x' of the root body 'torso', a slide along 0.707 0 0.707, is not understood: a base is a free joint",
+    ),
+    "second slide along z": (
+        lambda text: text.replace('axis="0 0 1"/>', 'axis="0 0 1"/> <joint name="lift" type="slide" axis="0 0 1"/>'),
+        "joint 'lift' of the root body 'torso', a slide along 0 0 1, is not understood",
+    ),
+    "ball in the base": (
+        lambda text: text.replace('axis="0 0 1"/>', 'axis="0 0 1"/> <joint name="turn" type="ball"/>'),
+        "joint 'turn' of the root body 'torso', a ball, is not understood",
+    ),
 }
 
 
@@ -59,6 +84,14 @@ def test_missing_files_and_unknown_names(tmp_path, robot):
         Robot.from_mjcf("biped", feet=["toe"])
     with pytest.raises(RobotError, match=r"biped\.xml has no joint 'toe'; it has hip_right"):
         robot.joint("toe")
+
+
+def test_sources_that_are_none(robot):
+    for source in (None, mujoco.MjData(robot.model), 7):
+        with pytest.raises(
+            RobotError, match=rf"path of an MJCF file.*MjModel or a mujoco\.MjSpec, got .*{type(source).__name__}"
+        ):
+            Robot.from_mjcf(source)
 
 
 def test_base_without_a_slide_along_z(tmp_path):

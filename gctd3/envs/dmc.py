@@ -56,8 +56,9 @@ class Walk(base.Task):
         self._middle, self._half = (high + low) / 2, (high - low) / 2
 
     def initialize_episode(self, physics: Physics) -> None:
-        """Put the robot into its reference pose, every joint off by a little."""
+        """Put the robot into the pose in which it starts, every joint off by a little."""
         joints = self.task.robot.joints
+        physics.data.qpos[:] = self.task.robot.start_qpos
         noise = self.start.angle_noise, self.start.velocity_noise
         physics.data.qpos[[j.qpos for j in joints]] += self.random.uniform(-noise[0], noise[0], len(joints))
         physics.data.qvel[[j.qvel for j in joints]] += self.random.uniform(-noise[1], noise[1], len(joints))
@@ -202,7 +203,7 @@ def load(
     return WalkEnvironment(
         physics,
         Walk(task, start, random),
-        n_sub_steps=substeps_of(task.control_dt, task.robot.model),
+        n_sub_steps=substeps_of(task.control_dt, task.robot),
         # mj_step throughout, as in the batched simulation: sensors are read where the last physics step began.
         legacy_step=False,
     )

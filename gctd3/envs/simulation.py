@@ -12,7 +12,8 @@ import numpy as np
 
 from gctd3.envs.gait import WalkingTask
 from gctd3.envs.records import Measurement, Outcome, Progress, from_dict, put, take, to_dict
-from gctd3.errors import ConfigError, NumericalError, check_between
+from gctd3.errors import ConfigError, NumericalError, RobotError, check_between
+from gctd3.robot import Robot
 
 MOST_SUBSTEPS = 1000
 # Of the simulator's clock (s). Not 0: MuJoCo sets it to that when it starts a robot anew, which is how that is seen.
@@ -21,7 +22,7 @@ BEGINNING = 1.0
 
 @dataclass(frozen=True)
 class Start:
-    """Where an episode starts: the MJCF's reference pose, each joint off by a uniform random amount.
+    """Where an episode starts: :attr:`.Robot.start_qpos`, each joint off by a uniform random amount.
 
     Attributes:
         angle_noise: Largest deviation of a joint's angle (rad).
@@ -66,7 +67,7 @@ class Simulation:
         self.task = task
         self.model = task.robot.model
         self.num_robots = num_robots
-        self.substeps = substeps_of(task.control_dt, self.model)
+        self.substeps = substeps_of(task.control_dt, task.robot)
         self.start = start if start is not None else Start()
         self.rng = np.random.default_rng(seed)
         low, high = task.robot.action_range.T
@@ -110,6 +111,7 @@ class Simulation:
         for i, robot in enumerate(robots):
             mujoco.mj_resetData(model, data)
             data.time = BEGINNING
+            data.qpos[:] = task.robot.start_qpos
             data.qpos[joints_q] += self.rng.uniform(-self.start.angle_noise, self.start.angle_noise, len(joints_q))
             data.qvel[joints_v] += self.rng.uniform(
                 -self.start.velocity_noise, self.start.velocity_noise, len(joints_v)
@@ -180,18 +182,22 @@ class Simulation:
         self.rng.bit_generator.state = state["rng"]
 
 
-def substeps_of(control_dt: float, model: mujoco.MjModel) -> int:
+def substeps_of(control_dt: float, robot: Robot) -> int:
     """Physics steps in a control step.
 
     Raises:
         ConfigError: If the period is not a positive multiple of the MJCF's timestep, or thousands of it.
+        RobotError: If the timestep is none.
     """
-    timestep = model.opt.timestep
+    timestep = robot.model.opt.timestep
     # MuJoCo takes any number for a timestep.
-    ratio = control_dt / timestep if timestep > 0 else 0.0
+    if not timestep > 0:
+        raise RobotError(f"{robot.path}: the timestep must be above 0 s, got {timestep}.")
+    ratio = control_dt / timestep
     if not 0.5 < ratio < MOST_SUBSTEPS + 0.5 or abs(round(ratio) * timestep - control_dt) > 1e-9:
+        nearest = timestep * min(max(round(ratio), 1), MOST_SUBSTEPS)
         raise ConfigError(
-            f"env.control_dt must be 1 to {MOST_SUBSTEPS:,} times the MJCF's timestep of {timestep} s, "
-            f"got {control_dt} s."
+            f"env.control_dt must be 1 to {MOST_SUBSTEPS:,} times {timestep:g} s, the timestep of {robot.path}, "
+            f"got {control_dt:g} s: the nearest that fits is {nearest:g} s."
         )
     return round(ratio)

@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from gctd3.reporting.runs import Run
+
+# Ratio of the times that the same work takes, above which something else took the time.
+SPREAD = 1.2
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,7 @@ class Limit:
     @property
     def text(self) -> str:
         """As ``3.2 min``."""
-        return f"{self.seconds / 60.0:.1f} min" if self.seconds >= 60.0 else f"{self.seconds:.1f} s"
+        return duration(self.seconds)
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,47 @@ class Reached:
     updates: float
 
 
+def duration(seconds: float) -> str:
+    """As ``3.2 min``, or ``3.2 s`` below a minute."""
+    return f"{seconds / 60.0:.1f} min" if seconds >= 60.0 else f"{seconds:.1f} s"
+
+
+def whole_times(runs: Sequence[Run]) -> list[float]:
+    """Training times (s) of the runs that came to their end."""
+    return [60.0 * run.minutes for run in runs if not run.trouble and math.isfinite(run.minutes)]
+
+
+def uneven(groups: Mapping[str, Sequence[Run]]) -> list[str]:
+    """Groups of which two runs took times for the same frames that are more than ``SPREAD`` apart, and these times.
+
+    Their configurations are the same, so it was the machine: its threads, another program, or a pause.
+    """
+    found = []
+    for group, runs in groups.items():
+        apart = [_same_work(*pair) for pair in combinations([run for run in runs if not run.trouble], 2)]
+        known = [(slow / fast, fast, slow, frames) for fast, slow, frames in apart if fast > 0.0]
+        ratio, fast, slow, frames = max(known, default=(0.0, 0.0, 0.0, 0.0))
+        if ratio > SPREAD:
+            found.append(f"{frames:,.0f} frames took {duration(fast)} and {duration(slow)} in {group}")
+    return found
+
+
+def _same_work(one: Run, other: Run) -> tuple[float, float, float]:
+    """Shorter and longer time (s) of two runs for the frames that both collected, and these; zeros if it is unknown.
+
+    Times are interpolated between evaluations.
+    """
+    timed = [[row for row in run.rows if "wall_s" in row] for run in (one, other)]
+    if not all(timed):
+        return 0.0, 0.0, 0.0
+    frames = min(rows[-1]["frames"] for rows in timed)
+    times = []
+    for rows in timed:
+        collected, took = ([0.0, *(row[key] for row in rows)] for key in ("frames", "wall_s"))
+        times.append(float(np.interp(frames, collected, took)))
+    return min(times), max(times), frames
+
+
 def time_limit(groups: Mapping[str, Sequence[Run]]) -> Limit | None:
     """The shortest of the groups' median training times; ``None`` if fewer than two groups have one.
 
@@ -55,7 +100,7 @@ def time_limit(groups: Mapping[str, Sequence[Run]]) -> Limit | None:
     """
     medians = {}
     for group, runs in groups.items():
-        times = [60.0 * run.minutes for run in runs if not run.trouble and math.isfinite(run.minutes)]
+        times = whole_times(runs)
         medians[group] = float(np.median(times)) if times else math.nan
     known = [group for group, seconds in medians.items() if math.isfinite(seconds)]
     if len(known) < 2:

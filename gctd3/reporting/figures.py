@@ -7,6 +7,7 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 
 import matplotlib
@@ -17,7 +18,8 @@ from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from gctd3.files import write_text
-from gctd3.plot import COLOURS, INK, LEFT, RIGHT, STYLE, colours, legend, new
+from gctd3.film import sheet
+from gctd3.plot import COLOURS, INK, LEFT, RIGHT, STYLE, colours, legend, legend_of_all, new
 from gctd3.reporting.groups import typical, with_trace
 from gctd3.reporting.runs import Run
 from gctd3.reporting.statistics import improvement, intervals, profile
@@ -28,6 +30,7 @@ SECONDS = 3.0  # of the traces
 STRIDES_SECONDS = 6.0  # of the phase portraits
 POINTS = 60  # of a curve
 PALETTE = 128  # colours of a PNG
+FILM_COLUMNS = 4  # of a film's PNG
 
 
 @dataclass(frozen=True)
@@ -71,13 +74,20 @@ class Gallery:
         write_text(self.directory / f"{name}.svg", shorter(alone.getvalue()))
         return Picture(name, title, caption, inline(shorter(inside.getvalue()), name, title))
 
-    def add_image(self, image: Image.Image, name: str, title: str, caption: str) -> Picture:
-        """Save pixels as PNG, and make them a picture for the page."""
-        _save_png(image, self.directory / f"{name}.png")
-        stream = io.BytesIO()
-        image.save(stream, format="JPEG", quality=80, optimize=True)
-        data = base64.b64encode(stream.getvalue()).decode()
-        return Picture(name, title, caption, f'<img alt="{_escaped(title)}" src="data:image/jpeg;base64,{data}">')
+    def add_film(self, frames: Sequence[tuple[Image.Image, str]], name: str, title: str, caption: str) -> Picture:
+        """Save frames as one PNG, and make them a picture for the page, with each frame's words below it."""
+        _save_png(sheet([image for image, _ in frames], FILM_COLUMNS), self.directory / f"{name}.png")
+        body = "".join(
+            f"<div>{_img(image, f'{title}, {words}')}<small>{escape(words)}</small></div>" for image, words in frames
+        )
+        return Picture(name, title, caption, f'<div class="film">{body}</div>')
+
+
+def _img(image: Image.Image, words: str) -> str:
+    stream = io.BytesIO()
+    image.save(stream, format="JPEG", quality=80, optimize=True)
+    data = base64.b64encode(stream.getvalue()).decode()
+    return f'<img alt="{escape(words)}" src="data:image/jpeg;base64,{data}">'
 
 
 def _save_png(image: Image.Image, file: Path) -> None:
@@ -98,7 +108,7 @@ def inline(svg: str, name: str, title: str) -> str:
     """An SVG of matplotlib's to stand in a page: sized by it, in its text colour, with ids of its own."""
     body = svg[svg.index("<svg") :].replace(INK, "currentColor")
     body = re.sub(r'<svg [^>]*?viewBox="([^"]*)"[^>]*>', r'<svg viewBox="\1" role="img">', body, count=1, flags=re.S)
-    body = re.sub(r"<metadata>.*?</metadata>", f"<title>{_escaped(title)}</title>", body, flags=re.S)
+    body = re.sub(r"<metadata>.*?</metadata>", f"<title>{escape(title)}</title>", body, flags=re.S)
     body = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', body)
     body = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", body)
     return re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', body)
@@ -236,16 +246,22 @@ def phase_portraits(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
     """Velocity over angle of each joint, right and left, over the last strides: a closed loop repeats itself."""
     pairs = joint_pairs(robot)
     settled = _late(trace, STRIDES_SECONDS)
-    figure, axes = new(1, len(pairs), height=2.1)
+    figure, axes = new(1, len(pairs), height=2.4)
     for ax, (first, second) in zip(axes[0], pairs, strict=True):
         for name, colour in ((first, RIGHT), (second, LEFT)):
             sign = 1.0 if name == first else robot.mirror_sign(second)
             angle, velocity = trace[f"angle_{name}_rad"][settled], trace[f"velocity_{name}_rad_s"][settled]
-            ax.plot(sign * angle, sign * velocity, color=colour, lw=0.6, alpha=0.8)
+            ax.plot(sign * angle, sign * velocity, color=colour, lw=0.6, alpha=0.8, label=_side(name, first, second))
         ax.set(xlabel="rad", title=_shared(first, second))
         _few_ticks(ax)
     axes[0, 0].set_ylabel("rad/s")
+    legend_of_all(figure, axes[0, 0])
     return figure
+
+
+def _side(name: str, first: str, second: str) -> str:
+    """What sets a name of two apart."""
+    return " ".join(word for word in name.split("_") if word not in _shared(first, second).split()) or name
 
 
 def _shared(first: str, second: str) -> str:
@@ -261,7 +277,3 @@ def _few_ticks(ax: Axes) -> None:
 
 def _late(trace: Mapping[str, np.ndarray], seconds: float = SECONDS) -> np.ndarray:
     return np.asarray(trace["time_s"] > trace["time_s"][-1] - seconds)
-
-
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

@@ -8,23 +8,23 @@ from PIL import Image
 from gctd3.checkpoint import FOLDER, load_policy
 from gctd3.envs.library import LibrarySettings
 from gctd3.errors import GCTD3Error, RenderError
-from gctd3.film import draw, record, sheet
+from gctd3.film import draw, record
 from gctd3.reporting.runs import Run
 from gctd3.robot import Robot
 from gctd3.run_config import load_settings
 
-COLUMNS, ROWS = 4, 2
-SIZE = 220  # pixels of a frame's side
+FRAMES = 8
+SIZE = 256  # pixels of a frame's side
 SEED = 10_000  # of the start, as in evaluations
 BEGIN = 7.0  # m, where gaits have settled
 STRIDE = 0.7  # s, of a gait that has none
 
 
-def stride_of(run: Run, robot: Robot, camera: str = "side") -> tuple[Image.Image, str, str]:
+def stride_of(run: Run, robot: Robot, camera: str = "side") -> tuple[list[tuple[Image.Image, str]], str, str]:
     """One stride of a run's policy past the first metres, in equal steps of time.
 
     Returns:
-        The pictures as one, what they are, and what to say of them.
+        The pictures with the time and place of each, what they are, and what to say of them.
 
     Raises:
         RenderError: If it cannot be drawn, whatever the reason.
@@ -40,10 +40,14 @@ def stride_of(run: Run, robot: Robot, camera: str = "side") -> tuple[Image.Image
         strides = bool(np.isfinite(time))
         steps = (time if strides else STRIDE) / env.control_dt
         first = int(np.argmax(walk.position >= min(BEGIN, walk.position[-1] / 2)))
-        chosen = first + np.round(steps * np.arange(COLUMNS * ROWS) / (COLUMNS * ROWS)).astype(int)
+        chosen = first + np.round(steps * np.arange(FRAMES) / FRAMES).astype(int)
         chosen = chosen[chosen < len(walk.qpos)]
-        image = sheet(list(draw(walk, robot, chosen, camera, (SIZE, SIZE), env.control_dt)), COLUMNS)
+        images = list(draw(walk, robot, chosen, camera, (SIZE, SIZE), env.control_dt, words=False))
     except GCTD3Error as error:
         raise RenderError(str(error)) from error
-    what = "a stride" if strides else f"{STRIDE} s, for it has no strides"
-    return image, what, "Of the policy whose return is the group's median, in equal steps of time."
+    what = "a stride" if strides else f"{STRIDE} s, for its stride time is not known"
+    words = [f"{(step + 1) * env.control_dt:.2f} s, {walk.position[step]:.2f} m" for step in chosen]
+    caption = (
+        "Of the policy whose return is the group's median, in equal steps of time; a line on the floor every metre."
+    )
+    return list(zip(images, words, strict=True)), what, caption

@@ -11,6 +11,7 @@ from gctd3.evaluate import TRACE
 from gctd3.files import new_directory
 from gctd3.reporting.groups import typical, with_trace
 from gctd3.reporting.runs import READ, Run
+from gctd3.run_config import CONFIG
 
 FOLDER = "runs"
 
@@ -27,8 +28,14 @@ def check_keep(runs: Path, out: Path) -> None:
         raise RunError(f"out={out} is below runs={runs}, whose next report would find what keep_runs=true keeps there.")
 
 
-def keep(groups: Mapping[str, Sequence[Run]], out: Path) -> None:
-    """Copy to ``out/runs`` what is read of each run; of traces those that are drawn."""
+def keep(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = ()) -> None:
+    """Copy to ``out/runs`` what is read of each run; of traces those that are drawn.
+
+    Args:
+        groups: The runs.
+        out: Directory of the report.
+        lost: Names of those without a configuration, which get an empty one.
+    """
     with new_directory(out / FOLDER) as aside:
         for runs in groups.values():
             drawn = typical(with_trace(runs))
@@ -37,3 +44,6 @@ def keep(groups: Mapping[str, Sequence[Run]], out: Path) -> None:
                     if (run.directory / file).is_file() and (run is drawn or file != Path(TRACE)):
                         (aside / run.name / file).parent.mkdir(parents=True, exist_ok=True)
                         shutil.copyfile(run.directory / file, aside / run.name / file)
+        for name in lost:
+            (aside / name / CONFIG).parent.mkdir(parents=True)
+            (aside / name / CONFIG).touch()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 
 from gctd3.reporting.figures import Picture
-from gctd3.reporting.tables import Table
+from gctd3.reporting.tables import DIRECTORY, MEANING, OUTCOME, UNIT, Table
 from gctd3.reporting.verdict import NOTHING
 
 CSS = """
@@ -29,18 +29,23 @@ ul.verdict { padding: 0.8rem 1rem 0.8rem 2rem; background: var(--card); border: 
   border-radius: 8px; } ul.verdict li { margin: 0.35rem 0; }
 .grid { display: grid; gap: 1rem; align-items: start;
   grid-template-columns: repeat(auto-fit, minmax(min(100%, 21rem), 1fr)); }
-.row { margin-top: 1rem; } .column { display: grid; gap: 1rem; align-content: start; }
+.row, .note + .grid { margin-top: 1rem; } .column { display: grid; gap: 1rem; align-content: start; }
+.row { grid-template-columns: repeat(auto-fill, minmax(min(100%, 21rem), 1fr)); } .wide { grid-column: 1 / -1; }
 figure { margin: 0; padding: 0.8rem; background: var(--card); border: 1px solid var(--line); border-radius: 8px; }
 figure svg, figure img { display: block; width: 100%; height: auto; color: var(--ink); }
 figure img { border-radius: 4px; }
+.film { display: grid; gap: 0.4rem; grid-template-columns: repeat(8, 1fr); }
+@media (max-width: 60rem) { .film { grid-template-columns: repeat(4, 1fr); } }
+@media (max-width: 40rem) { .film { grid-template-columns: repeat(2, 1fr); } }
 .scroll { overflow-x: auto; border: 1px solid var(--line); border-radius: 8px; }
 table { border-collapse: collapse; width: 100%; font-size: 0.875rem; font-variant-numeric: tabular-nums; }
-small { color: var(--soft); }
+small { display: block; color: var(--soft); }
 th, td { text-align: left; padding: 0.35rem 0.5rem; border-bottom: 1px solid var(--line); vertical-align: top; }
-th { background: var(--card); font-weight: 600; } tr:last-child td { border-bottom: 0; }
-td { white-space: nowrap; } td.long { white-space: normal; min-width: 13rem; color: var(--soft); }
-td:first-child { position: sticky; left: 0; background: var(--paper); }
-@media (max-width: 40rem) { td:first-child { white-space: normal; min-width: 7.5rem; } }
+th { background: var(--card); font-weight: 600; vertical-align: bottom; } tr:last-child td { border-bottom: 0; }
+th:first-child, td:first-child { position: sticky; left: 0; min-width: 8.5rem; }
+td:first-child { background: var(--paper); } td:first-child.meant { min-width: 14rem; }
+td.number { white-space: nowrap; } td.long { min-width: 11rem; }
+@media (max-width: 40rem) { td:first-child.meant { min-width: 9.5rem; } }
 """
 
 
@@ -50,12 +55,11 @@ class Row:
 
     Attributes:
         columns: In each the pictures from top to bottom.
+        wide: Above the columns, as wide as the page.
     """
 
     columns: Sequence[Sequence[Picture]]
-
-
-LONG = 30  # letters from which a cell may break
+    wide: Sequence[Picture] = ()
 
 
 def page(title: str, about: str, sentences: Sequence[str], sections: Sequence[tuple[str, Sequence[object]]]) -> str:
@@ -90,8 +94,11 @@ def _section(name: str, things: Sequence[object]) -> str:
 
 
 def _row(row: Row) -> str:
-    columns = "".join(f'<div class="column">{"".join(map(_figure, column))}</div>' for column in row.columns if column)
-    return f'<div class="grid row">{columns}</div>\n' if columns else ""
+    parts = [("column wide", row.wide), *(("column", column) for column in row.columns)]
+    drawn = "".join(
+        f'<div class="{kind}">{"".join(map(_figure, pictures))}</div>' for kind, pictures in parts if pictures
+    )
+    return f'<div class="grid row">{drawn}</div>\n' if drawn else ""
 
 
 def _figure(picture: Picture) -> str:
@@ -100,20 +107,38 @@ def _figure(picture: Picture) -> str:
 
 
 def _table(table: Table) -> str:
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in table.head)
-    rows = "".join(f"<tr>{''.join(map(_cell, row))}</tr>\n" for row in table.rows)
+    head = "".join(f"<th>{_breakable(cell)}</th>" for cell in table.head if cell not in (UNIT, MEANING))
+    rows = "".join(_table_row(dict(zip(table.head, row, strict=True))) for row in table.rows)
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(table.title)}"><table>'
         f'<thead><tr>{head}</tr></thead><tbody>\n{rows}</tbody></table></div><p class="note">{escape(table.note)}</p>\n'
     )
 
 
-def _cell(text: str) -> str:
-    kind = ' class="long"' if len(text) > LONG else ""
-    # An estimate, and what it ranges over below it.
-    split = re.fullmatch(r"(\S+) ([(\[].*)", text)
-    said = f"{escape(split[1])}<br><small>{escape(split[2])}</small>" if split else escape(text)
-    return f"<td{kind}>{said}</td>"
+def _table_row(cells: dict[str, str]) -> str:
+    """A row whose unit and meaning stand with its name, so that there is room for the numbers."""
+    unit, meaning = cells.pop(UNIT, ""), cells.pop(MEANING, "")
+    (_, name), *others = cells.items()
+    named = _breakable(f"{name}, {unit}" if unit else name)
+    first = f'<td class="meant">{named}<small>{escape(meaning)}</small></td>' if meaning else f"<td>{named}</td>"
+    return f"<tr>{first}{''.join(_cell(column, text) for column, text in others)}</tr>\n"
+
+
+def _cell(column: str, text: str) -> str:
+    if column in (OUTCOME, DIRECTORY):
+        return f'<td class="long">{_breakable(text)}</td>'
+    if not re.match(r"[-[]?\d", text):
+        return f"<td>{_breakable(text)}</td>"
+    # An estimate; in lines of their own what it ranges over, and how many seeds lack it.
+    estimate, *more = text.split("; ")
+    split = re.fullmatch(r"(\S+) ([(\[].*)", estimate)
+    estimate, *more = [*split.groups(), *more] if split else [estimate, *more]
+    return f'<td class="number">{escape(estimate)}{"".join(f"<small>{escape(line)}</small>" for line in more)}</td>'
+
+
+def _breakable(text: str) -> str:
+    """Escaped, and long names may break between their words."""
+    return re.sub(r"(?<=[A-Za-z\d])([./_=,])(?=[A-Za-z])", r"\1<wbr>", escape(text))
 
 
 def _sentence(text: str) -> str:

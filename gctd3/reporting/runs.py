@@ -1,35 +1,27 @@
-"""Runs below a directory: what they are, how they ended, and whether they may be compared."""
+"""Runs below a directory: what they are, how they ended, and how they were judged."""
 
 from __future__ import annotations
 
 import csv
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from omegaconf import OmegaConf
 from tqdm import tqdm
 
 from gctd3.errors import GCTD3Error, RunError
 from gctd3.evaluate import EVALUATION, ROBUSTNESS, TRACE, EvaluateSettings, evaluate_run
 from gctd3.evaluation import Judging
 from gctd3.files import MANIFEST, read_manifest
-from gctd3.run_config import CONFIG, OVERRIDES, flat, load_config, load_settings
+from gctd3.run_config import CONFIG, OVERRIDES, command_line, flat, load_config, load_settings
 from gctd3.run_log import PROGRESS
 from gctd3.train_settings import StopWhen
 from gctd3.trainer import POST_MORTEM
 
-# What has to be the same for numbers to mean the same, and what it is called.
-TOGETHER = {
-    "robot": ("robot.name", "robot.feet", "robot.forward"),
-    "task": ("env._target_", "env.library", "env.task", "env.control_dt", "env.start"),
-    "evaluation reward": ("evaluation.reward",),
-    "endings": ("env.endings",),
-}
 # All that is read of a run, but for its policy.
 READ = (CONFIG, OVERRIDES, *map(Path, (PROGRESS, EVALUATION, TRACE, ROBUSTNESS)), Path(POST_MORTEM) / MANIFEST)
 
@@ -106,28 +98,53 @@ class Run:
 
 
 def find_runs(root: Path) -> list[Run]:
-    """All runs below ``root``, or ``root`` itself.
+    """All runs below ``root``, or ``root`` itself, that have a configuration.
 
     Raises:
         RunError: If there is none, or one cannot be read.
     """
     if not root.is_dir():
         raise RunError(f"No directory at {root}.")
-    directories = sorted(file.parent.parent for file in root.rglob(str(CONFIG)))
+    directories = [directory for directory in _directories(root) if _configured(directory)]
     if not directories:
         raise RunError(f"No runs below {root}: none of its directories has a {CONFIG}, as gctd3.train leaves behind.")
     return [read_run(directory, root) for directory in directories]
 
 
+def lost_runs(root: Path) -> list[str]:
+    """Names of the runs below ``root`` whose configuration is empty or missing, so that nothing is known of them."""
+    return [_name(directory, root) for directory in _directories(root) if not _configured(directory)]
+
+
+def _directories(root: Path) -> list[Path]:
+    """Of runs, by what a run that was killed as it began has at least."""
+    return sorted({found.parent for name in (CONFIG.parent.name, PROGRESS) for found in root.rglob(name)})
+
+
+def _configured(directory: Path) -> bool:
+    file = directory / CONFIG
+    # A file that a power cut emptied may hold zeros.
+    return file.is_file() and bool(file.read_bytes().strip(b"\0 \r\n"))
+
+
+def _name(directory: Path, root: Path) -> str:
+    return str(directory.relative_to(root)) if directory != root else directory.name
+
+
 def read_run(directory: Path, root: Path) -> Run:
-    """A run and what has been written about it."""
-    overrides = {}
-    if (directory / OVERRIDES).is_file():
-        items = [str(item) for item in OmegaConf.load(directory / OVERRIDES)]
-        overrides = dict(item.split("=", 1) for item in items if "=" in item)
-    name = str(directory.relative_to(root)) if directory != root else directory.name
-    config, rows = flat(load_config(directory)), _progress(directory / PROGRESS)
-    run = Run(directory, name, config, overrides.get("algo", "gctd3"), rows)
+    """A run and what has been written about it.
+
+    Raises:
+        RunError: If one of its files is damaged.
+    """
+    try:
+        config = flat(load_config(directory))
+        items = command_line(directory) if (directory / OVERRIDES).is_file() else []
+    except RunError as error:
+        raise RunError(f"{error}\nMove {directory} elsewhere to report on the others.") from error
+    overrides = dict(item.split("=", 1) for item in items if "=" in item)
+    rows = _progress(directory / PROGRESS)
+    run = Run(directory, _name(directory, root), config, overrides.get("algo", "gctd3"), rows)
     return judged(replace(run, overrides=overrides, trouble=_trouble(run)))
 
 
@@ -173,8 +190,8 @@ def judged(run: Run) -> Run:
         except (ValueError, TypeError) as error:
             raise RunError(f"{file} cannot be read: {error}; delete it to have the run evaluated again.") from error
     if (run.directory / TRACE).is_file():
-        rows = list(csv.DictReader((run.directory / TRACE).read_text(encoding="utf-8").splitlines()))
-        trace = {key: np.array([float(row[key]) for row in rows]) for key in rows[0]} if rows else None
+        rows = _rows(run.directory / TRACE, "delete it, or evaluate the run again for a new one")
+        trace = {key: np.array([row[key] for row in rows]) for key in rows[0]} if rows else None
     return replace(run, evaluation=evaluation, trace=trace, robustness=_robustness(run.directory / ROBUSTNESS))
 
 
@@ -188,43 +205,6 @@ def _robustness(file: Path) -> Mapping[str, Any] | None:
     except (ValueError, TypeError) as error:
         raise RunError(f"{file} cannot be read: {error}; delete it, or examine the run again.") from error
     return found
-
-
-def check_together(runs: Sequence[Run]) -> None:
-    """Refuse runs whose numbers do not mean the same.
-
-    Raises:
-        RunError: If they differ in robot, task, evaluation reward or endings; it says which, and in what.
-    """
-    problems = []
-    for what, keys in TOGETHER.items():
-        by_value: dict[str, list[Run]] = {}
-        for run in runs:
-            chosen = {k: v for k, v in run.config.items() if any(k == key or k.startswith(f"{key}.") for key in keys)}
-            by_value.setdefault(json.dumps(chosen, sort_keys=True, default=str), []).append(run)
-        if len(by_value) > 1:
-            variants = [json.loads(text) for text in by_value]
-            differing = sorted({k for v in variants for k in v if any(v.get(k) != o.get(k) for o in variants)})
-            problems += [f"  {what}, {key}: {_spread(by_value.values(), key)}" for key in differing]
-    rewards = {json.dumps(r.evaluation["reward"], sort_keys=True) for r in runs if r.evaluation and _reward(r)}
-    if len(rewards) > 1:
-        problems.append(f"  the reward under which {EVALUATION} judges; evaluate them again under one")
-    tried = {json.dumps(run.robustness["perturbations"], sort_keys=True) for run in runs if run.robustness}
-    if len(tried) > 1:
-        problems.append(f"  what {ROBUSTNESS} tried; examine them again with the same perturbations")
-    if problems:
-        raise RunError("These runs do not belong in one report; they differ in\n" + "\n".join(problems))
-
-
-def _reward(run: Run) -> bool:
-    return isinstance((run.evaluation or {}).get("reward"), Mapping)
-
-
-def _spread(sets: Iterable[list[Run]], key: str) -> str:
-    found: dict[str, list[str]] = {}
-    for runs in sets:
-        found.setdefault(str(runs[0].config.get(key)), []).extend(run.name for run in runs)
-    return "; ".join(f"{value} in {', '.join(names[:3])}{', ...' * (len(names) > 3)}" for value, names in found.items())
 
 
 def evaluated(runs: Sequence[Run], judging: Judging) -> list[Run]:
@@ -249,6 +229,32 @@ def _evaluate(run: Run, judging: Judging) -> Run:
 def _progress(file: Path) -> list[dict[str, float]]:
     if not file.is_file():
         return []
-    rows = csv.DictReader(file.read_text(encoding="utf-8").splitlines())
-    numbers = [{key: float(text) for key, text in row.items() if key and text} for row in rows]
-    return [{key: value for key, value in row.items() if math.isfinite(value)} for row in numbers]
+    hint = f"correct it, or move {file.parent} elsewhere to report on the others"
+    known = [{key: value for key, value in row.items() if math.isfinite(value)} for row in _rows(file, hint)]
+    if any("frames" not in row for row in known):
+        raise RunError(f"{file} cannot be read: not every line says how many frames; {hint}.")
+    return known
+
+
+def _rows(file: Path, hint: str) -> list[dict[str, float]]:
+    """Numbers of a CSV file by column, NaN where there is none.
+
+    Args:
+        file: The file.
+        hint: What to do if it cannot be read.
+
+    Raises:
+        RunError: If it cannot.
+    """
+    line, found = 1, []
+    try:
+        lines = csv.reader(file.read_text(encoding="utf-8").splitlines())
+        head = next(lines, [])
+        for cells in filter(None, lines):
+            line = lines.line_num
+            if len(cells) != len(head):
+                raise ValueError(f"{len(cells)} cells under {len(head)} columns")
+            found.append({key: float(text or "nan") for key, text in zip(head, cells, strict=True)})
+    except (ValueError, csv.Error) as error:
+        raise RunError(f"{file} cannot be read: line {line}, {error}; {hint}.") from error
+    return found

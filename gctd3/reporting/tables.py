@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from gctd3.gait_metrics import circular_mean
+from gctd3.gait_summary import why_missing
 from gctd3.reporting.clock import Limit, reached_by
 from gctd3.reporting.groups import differences
 from gctd3.reporting.runs import Run
@@ -28,8 +31,8 @@ PAPER = {
 # Key, name, unit, decimals, what it is.
 GAIT = (
     ("hip_correlation", "hip correlation", "", 2, "of right and left hip angle; -1 when legs take turns"),
-    ("stride_hz", "stride frequency", "Hz", 2, "median over all touchdowns of a foot to its next"),
-    ("stride_time", "stride time", "s", 2, "median, bounces shorter than a fifth of a stride left out"),
+    ("stride_frequency", "stride frequency", "Hz", 2, "one over the stride time"),
+    ("stride_time", "stride time", "s", 2, "median from a foot's touchdown to its next, bounces left out"),
     ("stride_variation", "stride variation", "", 3, "standard deviation of stride times over their mean"),
     ("regularity", "regularity", "", 3, "autocorrelation of the joint angles after a stride; 1 repeats exactly"),
     ("duty_factor", "duty factor", "", 2, "contact time over stride time; above 0.5 it walks, below it runs"),
@@ -59,6 +62,8 @@ GAIT = (
     ("periodic_fraction", "periodic", "", 2, "share of episodes whose strides could be judged"),
 )
 ASYMMETRY = "asymmetry_"
+# Columns that a page does not treat as numbers.
+UNIT, MEANING, OUTCOME, DIRECTORY = "unit", "what it is", "outcome", "directory"
 
 
 @dataclass(frozen=True)
@@ -119,10 +124,10 @@ def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: b
     return Table(
         "table5",
         "The paper's Table 5",
-        "Ours: mean ± standard deviation over seeds, each the mean of its episodes; IQM is the interquartile mean over "
-        "seeds with its 95 % interval. The paper's ± is over 50 episodes of one training, in another simulator: not "
-        "like for like. Its body position seems to count from the height at which the robot is dropped"
-        + (f", {drop:.4f} m above standing." if np.isfinite(drop) else "."),
+        f"Ours: mean ± standard deviation over seeds, each the mean of its {_episodes(groups)}; IQM is the "
+        "interquartile mean over seeds with its 95 % interval. The paper's ± is over 50 episodes of one training, in "
+        "another simulator: not like for like. Its body position seems to count from the height at which the robot is "
+        "dropped" + (f", {drop:.4f} m above standing." if np.isfinite(drop) else "."),
         (
             "",
             "seeds judged",
@@ -135,6 +140,12 @@ def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: b
         ),
         rows,
     )
+
+
+def _episodes(groups: Mapping[str, Sequence[Run]]) -> str:
+    """As ``50 episodes``; a report has as many for all runs."""
+    found = {run.evaluation.get("episodes") for runs in groups.values() for run in runs if run.evaluation}
+    return f"{found.pop()} episodes" if len(found) == 1 and None not in found else "episodes"
 
 
 def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
@@ -174,23 +185,18 @@ def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
     keys = sorted({key for runs in groups.values() for run in runs for key in _gait(run) if key.startswith(ASYMMETRY)})
     meaning = "RMS against its mirror image half a stride later; 0 is symmetric"
     joints = [(key, f"asymmetry, {key.removeprefix(ASYMMETRY).replace('_', ' ')}", "rad", 3, meaning) for key in keys]
-    rows = []
+    far = [f"{sum(bool(_gait(run)) for run in runs)} of {len(runs)}" for runs in groups.values()]
+    rows = [["seeds judged here", "", *far, "those of whose episodes any got 10 m far"]]
     for key, name, unit, digits, meaning in (*GAIT, *joints):
-        cells = []
-        for runs in groups.values():
-            known = scores(runs, key)
-            without = sum(key in _gait(run) and _gait(run)[key] is None for run in runs)
-            said = _range(known, digits)
-            if without:
-                said = f"{said}; {without} not periodic" if known else "not periodic"
-            cells.append(said)
+        cells = [_gait_cell(runs, key, digits) for runs in groups.values()]
         if any(cell != "-" for cell in cells):
             rows.append([name, unit, *cells, meaning])
     return Table(
         "gait",
         "Gaits",
-        "Over the last 10 m of the episodes that got that far: mean over seeds (lowest to highest).",
-        ("", "unit", *groups, "what it is"),
+        "Over the last 10 m of the episodes that got that far: mean over seeds (lowest to highest). What only strides "
+        "have is given of seeds at least half of whose episodes have them.",
+        ("", UNIT, *groups, MEANING),
         rows,
     )
 
@@ -221,7 +227,7 @@ def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table
         "largest impulse that is survived whenever in the stride it comes: the robot goes on for "
         f"{perturbations['recover']:g} s, at all {perturbations['starts']} starts, and with every smaller impulse; "
         f"{perturbations['impulses'][-1]:g} N s is the largest that was tried.",
-        ("", "unit", *groups),
+        ("", UNIT, *groups),
         rows,
     )
 
@@ -237,7 +243,7 @@ def runs_table(groups: Mapping[str, Sequence[Run]]) -> Table:
             cells = [_number(run.minutes, 1), _number(run.minutes_to_finish, 1), frames]
             cells += [_number(run.value("return_mean"), 1), _number(run.value("success_rate"), 2)]
             rows.append([group, str(run.seed), *cells, f"{run.trouble}; {state}" if run.trouble else state, run.name])
-    head = ("", "seed", "minutes", "to finish", "frames", "return", "success", "outcome", "directory")
+    head = ("", "seed", "minutes", "to finish", "frames", "return", "success", OUTCOME, DIRECTORY)
     note = "Minutes of wall-clock until the last evaluation, and until the first in which every episode finished."
     return Table("runs", "Runs", note, head, rows)
 
@@ -252,8 +258,21 @@ def settings_table(groups: Mapping[str, Sequence[Run]]) -> Table:
 def spawn_height(robot: Robot) -> float:
     """How far above standing the robot is when an episode begins (m)."""
     nothing = np.zeros(robot.model.nv)
-    spawn, standing = (robot.base.read(q, nothing)["height"][0] for q in (robot.model.qpos0, robot.standing_qpos))
+    spawn, standing = (robot.base.read(q, nothing)["height"][0] for q in (robot.start_qpos, robot.standing_qpos))
     return float(spawn - standing)
+
+
+def _gait_cell(runs: Sequence[Run], key: str, digits: int) -> str:
+    """Mean over seeds and range of a metric, and how many seeds lack it for want of strides."""
+    known = scores(runs, key)
+    if key == "phase_offset" and known:
+        # Phases go round: 0.98 and 0.02 are neighbours.
+        mean = circular_mean(known)
+        known = [mean + (phase - mean + 0.5) % 1.0 - 0.5 for phase in known]
+    gaits = [_gait(run) for run in runs]
+    lacking = Counter(why_missing(gait, key) for gait in gaits if key in gait and gait[key] is None)
+    said = [_range(known, digits)] if known or not lacking else []
+    return "; ".join(said + [f"{count} {why}" for why, count in lacking.items()])
 
 
 def _gait(run: Run) -> Mapping[str, float | None]:

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gctd3.reporting.clock import Limit, reached_by, time_limit
+from gctd3.reporting.clock import Limit, duration, reached_by, time_limit, uneven, whole_times
 from gctd3.reporting.runs import Run
 from gctd3.reporting.statistics import FEW, Interval, improvement, interval
+from gctd3.run_config import CONFIG
 
 MINUTES = "minutes_to_finish"
 # What is compared: key, what it is called, unit, decimals, and what it is called to have more of it.
@@ -24,6 +25,8 @@ AT_LIMIT = (("return_mean", "return", 1, "returns more"), ("success_rate", "succ
 # What makes the same training slower or faster.
 COMPUTING = ("threads", "env.threads", "device")
 NOTHING = "no difference shown"
+# Ratio of frames or updates from which trainings were not equally long; whole batches make some difference.
+LONGER = 1.01
 # Comparisons from which chance is worth a word: with five seeds it shows a difference in 1 of 50 of alike groups.
 MANY = 5
 
@@ -104,16 +107,18 @@ def compare(
 
 
 def comparisons(groups: Mapping[str, Sequence[Run]], limit: Limit | None) -> list[Comparison]:
-    """The first group against every other: over whole trainings, then at ``limit``."""
-    found = []
+    """The first group against every other: over whole trainings, then at ``limit``; no times if they are uneven."""
+    found, timed = [], not uneven(groups)
     first, *others = groups
     for key, what, unit, digits, more in COMPARED:
         for other in others:
             pair = [(name, scores(groups[name], key)) for name in (first, other)]
             # The times of those that got there say little of a group whose others never did.
-            if any(values for _, values in pair) and not (key == MINUTES and _unfinished([first, other], groups)):
+            if key == MINUTES and (not timed or _unfinished([first, other], groups)):
+                continue
+            if any(values for _, values in pair):
                 found.append(compare(what, unit, digits, more, *pair))
-    if limit is not None:
+    if limit is not None and timed:
         known = reached_by(groups, limit.seconds)
         for key, what, digits, more in AT_LIMIT:
             for other in others:
@@ -130,13 +135,23 @@ def _unfinished(names: Iterable[str], groups: Mapping[str, Sequence[Run]]) -> li
     return [f"{count} of {len(groups[name])} seeds of {name}" for name, count in never.items() if count]
 
 
-def verdict(groups: Mapping[str, Sequence[Run]]) -> list[str]:
-    """Sentences: the differences shown, what went wrong, all comparisons, and what to know of them."""
+def verdict(groups: Mapping[str, Sequence[Run]], lost: Sequence[str] = ()) -> list[str]:
+    """Sentences: the differences shown, what went wrong, all comparisons, and what to know of them.
+
+    Args:
+        groups: The runs.
+        lost: Names of those without a configuration.
+    """
     limit = time_limit(groups)
     compared = comparisons(groups, limit)
     return [
         *_summary(compared),
         *_outcomes(groups),
+        *(
+            f"{name} crashed: its {CONFIG} is empty or missing, so it is in no group and has no numbers."
+            for name in lost
+        ),
+        *_lengths(groups),
         *(one.text for one in compared),
         *_at_limit(groups, limit),
         *_caveats(groups),
@@ -163,7 +178,8 @@ def _outcomes(groups: Mapping[str, Sequence[Run]]) -> list[str]:
         walked = sum(run.value("success_rate") >= 1.0 for run in judged)
         lost = len(runs) - len(judged)
         line = f"{group}: {walked} of {len(runs)} seeds reach the finish in every episode that was judged"
-        found.append(line + (f"; {lost} failed and have no numbers." if lost else "."))
+        line += f"; {lost} failed and have no numbers" if lost else ""
+        found.append(f"{line}{_cost(runs)}.")
     for group, runs in groups.items():
         for run in runs:
             if run.trouble:
@@ -172,14 +188,49 @@ def _outcomes(groups: Mapping[str, Sequence[Run]]) -> list[str]:
     return found
 
 
+def _cost(runs: Sequence[Run]) -> str:
+    """As ``; a whole run took 1.6 min in the median (1.5 to 1.8)``; empty if none came to its end, timed."""
+    times = whole_times(runs)
+    if not times:
+        return ""
+    said, scale = duration(float(np.median(times))), 60.0 if np.median(times) >= 60.0 else 1.0
+    low, high = (f"{end / scale:.1f}" for end in (min(times), max(times)))
+    return f"; a whole run took {said} in the median ({low} to {high})" if low != high else f"; a whole run took {said}"
+
+
+def _lengths(groups: Mapping[str, Sequence[Run]]) -> list[str]:
+    """What each group was trained, if that is not the same for all."""
+    trained = {
+        key: {
+            group: [run.rows[-1][key] for run in runs if run.rows and key in run.rows[-1]]
+            for group, runs in groups.items()
+        }
+        for key in ("frames", "updates")
+    }
+    every = [[value for values in by_group.values() for value in values] for by_group in trained.values()]
+    if len(groups) < 2 or not any(values and max(values) > LONGER * min(values) for values in every):
+        return []
+    said = []
+    for group in groups:
+        known = [f"{_range(by_group[group])} {key}" for key, by_group in trained.items() if by_group[group]]
+        said.append(f"{group} {' and '.join(known) or 'an unknown number of frames'}")
+    return [f"Trainings were not equally long, and are compared all the same: {'; '.join(said)}."]
+
+
+def _range(values: Sequence[float]) -> str:
+    low, high = f"{min(values):,.0f}", f"{max(values):,.0f}"
+    return f"{low} to {high}" if low != high else low
+
+
 def _at_limit(groups: Mapping[str, Sequence[Run]], limit: Limit | None) -> list[str]:
     if len(groups) < 2:
         return []
+    found = unlike_machines(groups)
     if limit is None:
         return [
-            "Nothing is compared at equal wall-clock: fewer than two groups have a run that came to its end, timed."
+            *found,
+            "Nothing is compared at equal wall-clock: fewer than two groups have a run that came to its end, timed.",
         ]
-    found = []
     for group, known in reached_by(groups, limit.seconds).items():
         if len(known) < len(groups[group]):
             late = f"{len(groups[group]) - len(known)} of {len(groups[group])} seeds"
@@ -194,10 +245,21 @@ def _at_limit(groups: Mapping[str, Sequence[Run]], limit: Limit | None) -> list[
     return found
 
 
+def unlike_machines(groups: Mapping[str, Sequence[Run]]) -> list[str]:
+    """Why wall-clock says little of these runs; empty if nothing is known against it."""
+    apart = uneven(groups)
+    if not apart:
+        return []
+    return [
+        "Wall-clock is of little worth here, and no difference is sought by it: these runs did not all have the same "
+        f"machine to themselves, for {'; '.join(apart)}."
+    ]
+
+
 def _caveats(groups: Mapping[str, Sequence[Run]]) -> list[str]:
     found = []
     never = _unfinished(groups, groups)
-    if never and len(groups) > 1:
+    if never and len(groups) > 1 and not uneven(groups):
         found.append(
             f"The time to the finish is compared between groups that always got there; not so {', '.join(never)}."
         )

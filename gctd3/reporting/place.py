@@ -1,0 +1,63 @@
+"""The directory of a report: what may be written over, and a new report in the place of an earlier one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from gctd3.errors import RunError
+
+PAGE, VERDICT, FIGURES, TABLES = "index.html", "verdict.txt", "figures", "tables"
+# What a report consists of; a directory with the first two is one.
+WRITTEN = (PAGE, VERDICT, f"{FIGURES}/*.svg", f"{FIGURES}/*.png", f"{TABLES}/*.csv")
+ASIDE = ".report.tmp"
+
+
+def check_place(out: Path, runs: Path) -> None:
+    """Refuse to write a report over something else.
+
+    Args:
+        out: Where to write it.
+        runs: Where the runs are, which may be in ``out``.
+
+    Raises:
+        RunError: If ``out`` is no directory, or holds something, but no report.
+    """
+    there = next(path for path in (out, *out.absolute().parents) if path.exists() or path.is_symlink())
+    if not there.is_dir():
+        raise RunError(f"out={out} cannot be a directory, for {there} is none: choose another out.")
+    if there != out or all((out / name).is_file() for name in (PAGE, VERDICT)):
+        return
+    others = sorted(
+        path.name for path in out.iterdir() if path.name != ASIDE and not runs.resolve().is_relative_to(path.resolve())
+    )
+    if others:
+        raise RunError(
+            f"out={out} holds {', '.join(others[:3])}{', ...' * (len(others) > 3)}, but no report that could be "
+            "replaced: choose a directory that is empty or not there yet."
+        )
+
+
+@contextmanager
+def in_place(out: Path) -> Iterator[Path]:
+    """A directory to write a report to, which takes the place of an earlier one in ``out`` when it is whole.
+
+    If the block raises, ``out`` stays as it was.
+    """
+    aside = out / ASIDE
+    shutil.rmtree(aside, ignore_errors=True)
+    aside.mkdir(parents=True)
+    try:
+        yield aside
+        new = {file.relative_to(aside) for pattern in WRITTEN for file in aside.glob(pattern)}
+        old = {file.relative_to(out) for pattern in WRITTEN for file in out.glob(pattern)}
+        for file in new:
+            (out / file).parent.mkdir(exist_ok=True)
+            os.replace(aside / file, out / file)
+        for file in old - new:
+            (out / file).unlink()
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
