@@ -200,8 +200,8 @@ def build_library_env(robot: Robot, settings: LibrarySettings, seed: int) -> Env
 
     Returns:
         An environment of batch size ``[num_envs]``; ``position`` is the way forward from the origin (m), ``counters``
-        is empty, ``success`` and ``diverged`` are never true. If ``nodes`` is flat, or holds
-        more than what the nodes sense, ``sensed`` is that.
+        is empty, ``success`` and ``diverged`` are never true. If ``nodes`` is flat, or holds more than what the nodes
+        sense, ``sensed`` is that.
     """
     keys = ["nodes", "position", "success", "diverged", "counters"]
 
