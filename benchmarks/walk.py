@@ -52,6 +52,9 @@ def main() -> None:
     passed_on = [f"{key}={value}" for key, value in given.items()]
     seeds, robot = [int(text) for text in own["seeds"].split(",")], Path(given.get("robot", "biped")).stem
     folder = Path(own["runs"]) / ("" if robot == "biped" else robot) / own["algo"]
+    there = [str(folder / f"seed{seed}") for seed in seeds if (folder / f"seed{seed}").exists()]
+    if there:
+        raise SystemExit(f"there is {', '.join(there)} already: choose another runs=, or move it elsewhere")
     with ThreadPoolExecutor(int(own["jobs"])) as pool:
         rows = list(pool.map(lambda s: train_and_judge(own["algo"], s, folder / f"seed{s}", passed_on), seeds))
     print(table(rows))

@@ -57,6 +57,16 @@ def test_an_unknown_option_exits_with_the_accepted_ones(name, monkeypatch):
         benchmark.main()
 
 
+def test_a_walk_is_not_trained_where_one_is(tmp_path, monkeypatch):
+    walk = importlib.import_module("walk")
+    there = tmp_path / "gctd3" / "seed1"
+    there.mkdir(parents=True)
+    monkeypatch.setattr(sys, "argv", ["walk.py", "seeds=0,1", f"runs={tmp_path}", "total_frames=0"])
+    with pytest.raises(SystemExit, match=f"^there is {there} already"):
+        walk.main()
+    assert not (tmp_path / "gctd3" / "seed0").exists()
+
+
 @pytest.mark.parametrize(
     ("success", "reward", "passed"), [(1.0, 380.0, True), (1.0, 379.9, False), (0.8, 500.0, False), (0.0, -3.0, False)]
 )
