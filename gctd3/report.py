@@ -158,9 +158,9 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
 
 
 def _gaits(groups: Mapping[str, Sequence[Run]]) -> list[object]:
-    from gctd3.reporting import tables
+    from gctd3.reporting.gaits import gaits
 
-    table = tables.gaits(groups)
+    table = gaits(groups)
     return [table if table.rows else f"No episode got {LAST_METRES:.0f} m far, so there is no gait to measure."]
 
 

@@ -258,6 +258,14 @@ class Robot:
 
     # What the walking task asks for beyond a graph.
 
+    def check_legs(self) -> None:
+        """Raise a :class:`.RobotError` that names a foot that is no leg's end, if there is one."""
+        for foot, leg in zip(self.feet, self.legs, strict=True):
+            if not leg:
+                raise RobotError(
+                    f"{self.path}: foot {foot!r} hangs on no joint, so it is no leg's end; name other feet."
+                )
+
     def check_walking(self) -> None:
         """Check that the robot can be taught to walk: a base, position servos, legs and contact sensors.
 
@@ -273,9 +281,7 @@ class Robot:
                     f"{file}: joint {joint.name!r} of body {joint.body!r} must be a hinge, is a {joint.kind}."
                 )
         check_servos(model, self.joints, file)
-        for foot, leg in zip(self.feet, self.legs, strict=True):
-            if not leg:
-                raise RobotError(f"{file}: foot {foot!r} hangs on no joint, so it is no leg's end; name other feet.")
+        self.check_legs()
         self.contact_sensors(self.feet)
         check_standing(self.base, [self._bodies[foot] for foot in self.feet], file)
         _ = self.action_mirror

@@ -132,7 +132,7 @@ def test_feet_and_forward_are_those_named(tmp_path, capsys):
     capsys.readouterr()
     for wrong, message in [
         ("robot.feet=[nonsense]", "has no body 'nonsense'"),
-        ("robot.feet=[torso]", "feet: 'torso' of 'Walker2d-v5' hangs on no joint"),
+        ("robot.feet=[torso]", "foot 'torso' hangs on no joint"),
         ("robot.name=quadruped", "robot.name must be left at biped for a library's task, got 'quadruped'"),
         ("robot=my.xml", "got 'my.xml': the task brings its own robot"),
     ]:

@@ -48,7 +48,7 @@ STAGES = [
     "train",
     "reporting.place reporting.runs reporting.together reporting.groups reporting.keep reporting.statistics "
     "reporting.clock reporting.verdict "
-    "reporting.figures reporting.tables reporting.filmstrips reporting.page reporting",
+    "reporting.figures reporting.tables reporting.gaits reporting.filmstrips reporting.page reporting",
     "report",
     "__main__",
 ]

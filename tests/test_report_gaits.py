@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("rliable")
 
+from gctd3.reporting.gaits import gaits
 from gctd3.reporting.runs import Run
-from gctd3.reporting.tables import gaits
 
 SLIDES = {"periodic_fraction": 0.2, "duty_factor": None, "floquet_max": None, "flight_fraction": 0.1}
 FEW = {"periodic_fraction": 0.9, "duty_factor": 0.4, "floquet_max": None, "flight_fraction": 0.3}
@@ -28,6 +28,7 @@ def test_seeds_without_strides_are_counted(tmp_path):
     assert said["largest Floquet multiplier"] == "0.50; 1 too few strides; 1 not periodic"
     assert cells(tmp_path, SLIDES, SLIDES)["duty factor"] == "2 not periodic"
     assert "phase offset" not in said  # nobody has it
+    assert cells(tmp_path, {}, {}) == {}  # nobody got far enough for a gait
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from gctd3.run_config import CONFIG, find_run
 
 pytest.importorskip("rliable")
 from gctd3.reporting import filmstrips
-from gctd3.reporting.tables import GAIT
+from gctd3.reporting.gaits import GAIT
 
 # As many groups as the page has room for at 1280 pixels.
 TAUS = (0.001, 0.002, 0.003, 0.004, 0.005, 0.006)

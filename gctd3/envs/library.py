@@ -256,7 +256,5 @@ def _robot(library: Library, task: str, feet: tuple[str, ...] | None, forward: A
     robot = sensor.robot
     if sensor.features != FEATURES:
         raise ConfigError(f"task: {task!r} has a robot with ball joints, for whose nodes there is no replay yet.")
-    for foot, leg in zip(robot.feet, robot.legs, strict=True):
-        if not leg:
-            raise ConfigError(f"feet: {foot!r} of {task!r} hangs on no joint, so it is no leg's end; name other feet.")
+    robot.check_legs()
     return robot

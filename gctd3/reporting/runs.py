@@ -89,11 +89,16 @@ class Run:
         )
         return StopWhen(at_least, at_most)
 
+    @property
+    def gait(self) -> Mapping[str, float | None]:
+        """Of its evaluation; empty if it got nowhere."""
+        return (self.evaluation or {}).get("gait") or {}
+
     def value(self, key: str) -> float:
         """A number of its evaluation, of the gait if it is not at the top; NaN if it is missing or undefined."""
         found = (self.evaluation or {}).get(key)
         if found is None:
-            found = ((self.evaluation or {}).get("gait") or {}).get(key)
+            found = self.gait.get(key)
         return float(found) if isinstance(found, (int, float)) else math.nan
 
 

@@ -1,18 +1,15 @@
-"""The report's tables: the paper's Table 5 beside ours, the gaits, the runs, what their configurations differ in."""
+"""The report's tables: the paper's Table 5 beside ours, robustness, the runs, what their configurations differ in."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from gctd3.gait_metrics import circular_mean
-from gctd3.gait_summary import why_missing
 from gctd3.reporting.clock import Limit, reached_by
 from gctd3.reporting.groups import differences
 from gctd3.reporting.runs import Run
@@ -28,40 +25,6 @@ PAPER = {
     "td3": (370.31, 37.26, -0.0020, 1.164),
     "gctd3": (380.0, 18.47, -0.0202, 1.414),
 }
-# Key, name, unit, decimals, what it is.
-GAIT = (
-    ("hip_correlation", "hip correlation", "", 2, "of right and left hip angle; -1 when legs take turns"),
-    ("stride_frequency", "stride frequency", "Hz", 2, "one over the stride time"),
-    ("stride_time", "stride time", "s", 2, "median from a foot's touchdown to its next, bounces left out"),
-    ("stride_variation", "stride variation", "", 3, "standard deviation of stride times over their mean"),
-    ("regularity", "regularity", "", 3, "autocorrelation of the joint angles after a stride; 1 repeats exactly"),
-    ("duty_factor", "duty factor", "", 2, "contact time over stride time; above 0.5 it walks, below it runs"),
-    ("phase_offset", "phase offset", "", 2, "when the left foot touches down in the right one's stride; ideal 0.5"),
-    ("duty_symmetry", "duty symmetry", "%", 1, "(right - left) / mean of duty factors (Herzog 1989); ideal 0"),
-    ("step_symmetry", "step symmetry", "%", 1, "the same of the times from foot to foot; ideal 0"),
-    ("flight_fraction", "flight", "", 2, "share of time with no foot down"),
-    ("double_support_fraction", "double support", "", 2, "share of time with more than one foot down"),
-    ("foot_clearance", "foot clearance", "m", 3, "sole above the ground in the middle of a swing"),
-    ("slip_speed", "slip", "m/s", 3, "mean speed over the ground of soles that are down"),
-    ("height_rms", "height RMS", "m", 3, "of the body's height about its mean"),
-    ("froude", "Froude number", "", 2, "v² / (g L), L the hip's height when standing"),
-    ("cost_of_transport", "cost of transport", "", 2, "Σ|τω|Δt / (m g d), braking costs as driving does"),
-    ("cost_of_transport_positive", "cost of transport, positive", "", 2, "the same of driving alone"),
-    ("torque_saturation", "torque saturation", "%", 1, "share of time at the servos' limit, over all servos"),
-    ("action_rate", "action rate", "1/s", 1, "RMS of the actions' first difference over dt"),
-    ("action_jerk", "action jerk", "1/s³", 0, "RMS of their third difference over dt³"),
-    ("action_smoothness", "action smoothness", "", 4, "mean of amplitude times frequency (Mysore 2021); low is smooth"),
-    (
-        "floquet_max",
-        "largest Floquet multiplier",
-        "",
-        2,
-        "of the touchdown map, from below; under 1 is stable",
-    ),
-    ("strides", "strides used", "", 0, "of all feet and episodes; the first two of each foot are never used"),
-    ("periodic_fraction", "periodic", "", 2, "share of episodes whose strides could be judged"),
-)
-ASYMMETRY = "asymmetry_"
 # Columns that a page does not treat as numbers.
 UNIT, MEANING, OUTCOME, DIRECTORY = "unit", "what it is", "outcome", "directory"
 
@@ -180,27 +143,6 @@ def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
     )
 
 
-def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
-    """Every gait metric with its definition: mean over seeds, and the lowest and the highest."""
-    keys = sorted({key for runs in groups.values() for run in runs for key in _gait(run) if key.startswith(ASYMMETRY)})
-    meaning = "RMS against its mirror image half a stride later; 0 is symmetric"
-    joints = [(key, f"asymmetry, {key.removeprefix(ASYMMETRY).replace('_', ' ')}", "rad", 3, meaning) for key in keys]
-    far = [f"{sum(bool(_gait(run)) for run in runs)} of {len(runs)}" for runs in groups.values()]
-    rows = [["seeds judged here", "", *far, "those of whose episodes any got 10 m far"]]
-    for key, name, unit, digits, meaning in (*GAIT, *joints):
-        cells = [_gait_cell(runs, key, digits) for runs in groups.values()]
-        if any(cell != "-" for cell in cells):
-            rows.append([name, unit, *cells, meaning])
-    return Table(
-        "gait",
-        "Gaits",
-        "Over the last 10 m of the episodes that got that far: mean over seeds (lowest to highest). What only strides "
-        "have is given of seeds at least half of whose episodes have them.",
-        ("", UNIT, *groups, MEANING),
-        rows,
-    )
-
-
 def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
     """Success under each condition, and the impulse survived at every phase of the stride.
 
@@ -214,10 +156,10 @@ def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table
             [one["conditions"][name]["success_rate"] for one in results if name in one["conditions"]]
             for results in groups.values()
         ]
-        rows.append([f"success, {name}", "", *(_range(values, 2) for values in found)])
+        rows.append([f"success, {name}", "", *(mean_and_range(values, 2) for values in found)])
     for direction in DIRECTIONS:
         impulses = [[weakest(one, direction) for one in results] for results in groups.values()]
-        cells = [_range([value for value in values if np.isfinite(value)], 1) for values in impulses]
+        cells = [mean_and_range([value for value in values if np.isfinite(value)], 1) for values in impulses]
         rows.append([f"shove {direction}, worst moment", "N s", *cells])
     perturbations = next(iter(groups.values()))[0]["perturbations"]
     return Table(
@@ -262,23 +204,6 @@ def spawn_height(robot: Robot) -> float:
     return float(spawn - standing)
 
 
-def _gait_cell(runs: Sequence[Run], key: str, digits: int) -> str:
-    """Mean over seeds and range of a metric, and how many seeds lack it for want of strides."""
-    known = scores(runs, key)
-    if key == "phase_offset" and known:
-        # Phases go round: 0.98 and 0.02 are neighbours.
-        mean = circular_mean(known)
-        known = [mean + (phase - mean + 0.5) % 1.0 - 0.5 for phase in known]
-    gaits = [_gait(run) for run in runs]
-    lacking = Counter(why_missing(gait, key) for gait in gaits if key in gait and gait[key] is None)
-    said = [_range(known, digits)] if known or not lacking else []
-    return "; ".join(said + [f"{count} {why}" for why, count in lacking.items()])
-
-
-def _gait(run: Run) -> Mapping[str, float | None]:
-    return (run.evaluation or {}).get("gait") or {}
-
-
 def _number(value: float, digits: int) -> str:
     return f"{value:,.{digits}f}" if np.isfinite(value) else "-"
 
@@ -294,7 +219,8 @@ def _spread(values: Sequence[float], digits: int) -> str:
     return f"{mean} ± {np.std(values, ddof=1):.{digits}f}" if len(values) > 1 else mean
 
 
-def _range(values: Sequence[float], digits: int) -> str:
+def mean_and_range(values: Sequence[float], digits: int) -> str:
+    """As ``0.50 (0.40 to 0.60)``; ``-`` if there are none."""
     if not len(values):
         return "-"
     mean = f"{np.mean(values):,.{digits}f}"
