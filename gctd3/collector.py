@@ -109,7 +109,8 @@ class InlineCollector:
                 check_finite("action", acting.get("action"))
                 step, self._state = self.env.step_and_maybe_reset(acting)
                 taken.append(step)
-        return torch.stack(taken, dim=-1)
+        # A copy saved where there is nothing to stack.
+        return taken[0].unsqueeze(-1) if self.steps == 1 else torch.stack(taken, dim=-1)
 
     def follow(self, policy: TensorDictModuleBase) -> None:
         """Go on with another policy, from where the robots are."""

@@ -18,6 +18,7 @@ BENCHED = [
     "env_throughput",
     "inference_latency",
     "learner_throughput",
+    "library_throughput",
     "peers",
     "scale_out",
     "scaling",

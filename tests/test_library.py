@@ -64,7 +64,7 @@ def test_rewards_and_ways_are_the_tasks_own():
     assert settings.control_dt == pytest.approx(theirs.unwrapped.dt)
     # From the state in which ours starts, theirs goes on with the same rewards.
     theirs.reset()
-    inner = env.base_env._envs[0].base_env._env.unwrapped
+    inner = env.base_env.robots[0]._env.unwrapped
     theirs.unwrapped.set_state(inner.data.qpos.copy(), inner.data.qvel.copy())
     for t in range(12):
         state = env.step(state.set("action", actions[:, t]))["next"]
@@ -94,7 +94,7 @@ def test_actions_are_scaled_to_the_limits_of_the_task():
     assert theirs.action_space.high.max() == pytest.approx(0.4)
     state = env.reset()
     theirs.reset()
-    inner = env.base_env._envs[0].base_env._env.unwrapped
+    inner = env.base_env.robots[0]._env.unwrapped
     theirs.unwrapped.set_state(inner.data.qpos.copy(), inner.data.qvel.copy())
     for _ in range(5):
         action = torch.rand(1, 17) * 2 - 1
@@ -107,7 +107,7 @@ def test_actions_are_scaled_to_the_limits_of_the_task():
 def test_actions_of_dm_control_are_scaled_too():
     settings = LibrarySettings("dm_control", "quadruped-walk", num_envs=1)
     env = build_env(settings.load_robot(), settings, Reward(), seed=0)
-    physics = env.base_env._envs[0].base_env._env.physics
+    physics = env.base_env.robots[0]._env.physics
     limits = physics.model.actuator_ctrlrange
     assert not (limits == [-1, 1]).all()
     state = env.reset()
@@ -162,7 +162,7 @@ def test_the_tasks_own_observation(library, task, size):
     for _ in range(3):
         state = env.step(state.set("action", action))["next"]
     assert state["nodes"].shape == (2, 1, size)
-    inner = env.base_env._envs[0].base_env._env
+    inner = env.base_env.robots[0]._env
     if library == "gymnasium":
         theirs = inner.unwrapped._get_obs()
     else:

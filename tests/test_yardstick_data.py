@@ -56,7 +56,7 @@ def sides(recipe, tmp_path):
 
 def robots(env):
     """Gymnasium's environments in one of ours."""
-    return [robot.base_env._env for robot in env.base_env._envs]
+    return [robot._env for robot in env.base_env.robots]
 
 
 def shorten(env):

@@ -9,27 +9,12 @@ from typing import Literal
 
 import mujoco
 import numpy as np
-import torch
-from tensordict import TensorDictBase
-from torchrl.data import Binary, Composite, Unbounded
-from torchrl.envs import (
-    CatFrames,
-    Compose,
-    DMControlEnv,
-    EnvBase,
-    GymEnv,
-    InitTracker,
-    RenameTransform,
-    SelectTransform,
-    StepCounter,
-    Transform,
-    TransformedEnv,
-)
+from torchrl.envs import CatFrames, Compose, DMControlEnv, EnvBase, GymEnv, TransformedEnv
 
 from gctd3.base import Axis
 from gctd3.envs.gait import FEATURES
-from gctd3.envs.nodes import STATIC, NodeSensor, StaticNodes, simulator, with_nodes
-from gctd3.envs.serial import SerialRobots
+from gctd3.envs.library_robots import LibraryRobots
+from gctd3.envs.nodes import STATIC, NodeSensor, simulator
 from gctd3.errors import ConfigError, check_between
 from gctd3.graph import KinematicGraph
 from gctd3.robot import Robot
@@ -139,57 +124,6 @@ class LibrarySettings:
         env._make_specs(env._env)
 
 
-class _TaskKeys(Transform):
-    """What the walking task tells besides the nodes: the way forward (m); success and counters, of which is none."""
-
-    def __init__(self, env: EnvBase, sensor: NodeSensor) -> None:
-        super().__init__(in_keys=[], out_keys=["position", "success", "diverged", "counters"])
-        self.__dict__["_sensor"], self.__dict__["_env"] = sensor, env
-
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        _, data = simulator(self._env)
-        next_tensordict.set("position", torch.tensor([self._sensor.position(data)], dtype=torch.float32))
-        next_tensordict.set("success", torch.zeros(1, dtype=torch.bool))
-        next_tensordict.set("diverged", torch.zeros(1, dtype=torch.bool))
-        return next_tensordict.set("counters", torch.zeros(0))
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return self._call(tensordict_reset)
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        observation_spec["position"] = Unbounded((1,))
-        observation_spec["success"] = Binary(1, shape=(1,), dtype=torch.bool)
-        observation_spec["diverged"] = Binary(1, shape=(1,), dtype=torch.bool)
-        observation_spec["counters"] = Unbounded((0,))
-        return observation_spec
-
-
-class _Flat(Transform):
-    """Puts the task's own observation, flat, in the place of the nodes, which become ``sensed``.
-
-    Args:
-        keys: Of the observation's parts.
-    """
-
-    def __init__(self, keys: Sequence[str]) -> None:
-        super().__init__(in_keys=[*keys, "nodes"], out_keys=["nodes", "sensed"])
-        self._keys = keys
-
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        next_tensordict.set("sensed", next_tensordict.get("nodes"))
-        parts = [next_tensordict.get(key).reshape(-1) for key in self._keys]
-        return next_tensordict.set("nodes", torch.cat(parts).to(torch.float32)[None])
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return self._call(tensordict_reset)
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        observation_spec["sensed"] = observation_spec["nodes"].clone()
-        size = sum(observation_spec[key].shape.numel() for key in self._keys)
-        observation_spec["nodes"] = Unbounded((1, size))
-        return observation_spec
-
-
 def build_library_env(robot: Robot, settings: LibrarySettings, seed: int) -> EnvBase:
     """Robots of a library's task, with the keys of :func:`gctd3.envs.factory.build_env`.
 
@@ -203,26 +137,12 @@ def build_library_env(robot: Robot, settings: LibrarySettings, seed: int) -> Env
         is empty, ``success`` and ``diverged`` are never true. If ``nodes`` is flat, or holds more than what the nodes
         sense, ``sensed`` is that.
     """
-    keys = ["nodes", "position", "success", "diverged", "counters"]
-
-    def one(index: int) -> EnvBase:
-        env = settings.make()
-        noded = with_nodes(env, feet=robot.feet, forward=robot.forward_axis)
-        noded.append_transform(_TaskKeys(env, noded.transform[0].sensor))
-        if settings.observation == "flat":
-            noded.append_transform(_Flat(_parts(env)))
-        if settings.static:
-            noded.append_transform(RenameTransform(["nodes"], ["sensed"], create_copy=True))
-            noded.append_transform(StaticNodes(noded.transform[0].sensor))
-        more = ["sensed"] if settings.static or settings.observation == "flat" else []
-        noded.append_transform(SelectTransform(*keys, *more))
-        noded.set_seed(seed + index)
-        return noded
-
-    env = SerialRobots(settings.num_envs, [lambda i=i: one(i) for i in range(settings.num_envs)])
+    robots = [settings.make() for _ in range(settings.num_envs)]
+    sensor = NodeSensor(simulator(robots[0])[0], robot.feet, robot.forward_axis)
+    env = LibraryRobots(robots, sensor, settings.observation, settings.static)
     env.set_seed(seed)
     stack = CatFrames(N=settings.history, dim=-1, in_keys=["nodes"], padding="same")
-    return TransformedEnv(env, Compose(InitTracker(), StepCounter(), stack))
+    return TransformedEnv(env, Compose(stack))
 
 
 def _parts(env: EnvBase) -> list[str]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 from torch.nn.parameter import UninitializedBuffer
 from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 
 from gctd3.envs.batched import BatchedEnv
+from gctd3.envs.library_robots import LibraryRobots
 from gctd3.envs.nodes import simulator
 from gctd3.envs.simulator_state import load_task_state, task_state
 
@@ -28,7 +30,10 @@ def env_state(env: EnvBase) -> dict[str, Any]:
         return {"base": env_state(env.base_env), "buffers": buffers}
     if isinstance(env, BatchedEnv):
         return env.simulation.state_dict()
-    return {"robots": [_robot_state(wrapper) for wrapper in _robots(env)]}
+    state: dict[str, Any] = {"robots": [_robot_state(wrapper) for wrapper in _robots(env)]}
+    if isinstance(env, LibraryRobots):
+        state["seen"] = {key: np.array(values) for key, values in env.seen.items()}
+    return state
 
 
 def load_env_state(env: EnvBase, state: dict[str, Any]) -> None:
@@ -43,6 +48,8 @@ def load_env_state(env: EnvBase, state: dict[str, Any]) -> None:
     else:
         for wrapper, one in zip(_robots(env), state["robots"], strict=True):
             _load_robot_state(wrapper, one)
+        if isinstance(env, LibraryRobots):
+            env.seen = {key: np.array(values) for key, values in state["seen"].items()}
 
 
 def _robot_state(wrapper: EnvBase) -> dict[str, Any]:
@@ -60,6 +67,9 @@ def _load_robot_state(wrapper: EnvBase, state: dict[str, Any]) -> None:
 
 def _robots(env: EnvBase) -> Iterator[EnvBase]:
     """The environments of single robots, without their transforms, of which none has a state."""
+    if isinstance(env, LibraryRobots):
+        yield from env.robots
+        return
     if not isinstance(env, SerialEnv):
         raise TypeError(f"The state of a {type(env).__name__} cannot be read; expected one of build_env.")
     for one in env._envs:
