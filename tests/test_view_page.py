@@ -100,8 +100,10 @@ def test_it_walks_pauses_and_is_pushed(page):
     before = number(page, "time")
     wait_for(lambda: number(page, "time") != before)
     restart(page)
+    # On a busy machine the last picture comes late.
+    wait_for(lambda: np.abs(scene(page) - scene(page)).max() < 20)
     still = scene(page)
-    assert np.abs(scene(page) - still).max() < 20 and number(page, "time") == 0.0
+    assert number(page, "time") == 0.0
     speed, distance = pushed(page, 0)
     faster, farther = pushed(page, 4)
     # Each push is a quarter of the robot's mass times 1 m/s.
