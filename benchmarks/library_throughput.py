@@ -27,6 +27,7 @@ from torchrl.envs import (
 
 from gctd3.envs.factory import build_env
 from gctd3.envs.library import Library, LibrarySettings
+from gctd3.envs.library_robots import observed
 from gctd3.envs.nodes import with_nodes
 from gctd3.envs.reward import Reward
 
@@ -43,7 +44,7 @@ def stock(settings: LibrarySettings) -> EnvBase:
 
     def one() -> EnvBase:
         env = settings.make()
-        own = [str(key) for key in env.observation_spec.keys(True, True)]
+        own = observed(env)
         noded = with_nodes(env, static=settings.static)
         if numbers := [key for key in own if not env.observation_spec[key].shape]:
             noded.append_transform(UnsqueezeTransform(-1, in_keys=numbers))

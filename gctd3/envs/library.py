@@ -13,7 +13,7 @@ from torchrl.envs import CatFrames, Compose, DMControlEnv, EnvBase, GymEnv, Tran
 
 from gctd3.base import Axis
 from gctd3.envs.gait import FEATURES
-from gctd3.envs.library_robots import LibraryRobots
+from gctd3.envs.library_robots import LibraryRobots, observed
 from gctd3.envs.nodes import STATIC, NodeSensor, simulator
 from gctd3.errors import ConfigError, check_between
 from gctd3.graph import KinematicGraph
@@ -145,11 +145,6 @@ def build_library_env(robot: Robot, settings: LibrarySettings, seed: int) -> Env
     return TransformedEnv(env, Compose(stack))
 
 
-def _parts(env: EnvBase) -> list[str]:
-    """Keys of a task's own observation."""
-    return [str(key) for key in env.observation_spec.keys(True, True)]
-
-
 @dataclass(frozen=True)
 class _Probe:
     """What a task is found to be: its simulator's model, its control period (s), the size of its own observation."""
@@ -164,7 +159,7 @@ def _probe(library: Library, task: str) -> _Probe:
     env = LibrarySettings(library, task).make()
     inner = env._env
     dt = inner.control_timestep() if library == "dm_control" else inner.unwrapped.dt
-    size = sum(env.observation_spec[key].shape.numel() for key in _parts(env))
+    size = sum(env.observation_spec[key].shape.numel() for key in observed(env))
     model, _ = simulator(env)
     env.close()
     return _Probe(model, float(dt), size)

@@ -14,6 +14,11 @@ from torchrl.envs import EnvBase
 from gctd3.envs.nodes import NodeSensor, simulator
 
 
+def observed(env: EnvBase) -> list[str]:
+    """Keys of a task's own observation."""
+    return [str(key) for key in env.observation_spec.keys(True, True)]
+
+
 class LibraryRobots(EnvBase):
     """A task on several robots, stepped one after another.
 
@@ -48,7 +53,7 @@ class LibraryRobots(EnvBase):
         super().__init__(batch_size=torch.Size([n]))
         # Not as a ModuleList: their parameters and states are none of this module's.
         self.__dict__["robots"], self.__dict__["sensor"] = list(robots), sensor
-        self._flat = [str(key) for key in robots[0].observation_spec.keys(True, True)] if observation == "flat" else []
+        self._flat = observed(robots[0]) if observation == "flat" else []
         self._static = sensor.static() if static else None
         nodes, features = sensor.graph.num_nodes, sensor.features
         shape = (nodes, features + (self._static.shape[1] if self._static is not None else 0))
