@@ -21,8 +21,8 @@ STAGES = [
     "mjcf shapes feet mirror base stance servos robot",
     "nodes graph",
     "reflection",
-    "envs.serial envs.reward envs.records envs.gait envs.simulation envs.simulator_state envs.batched envs.dmc "
-    "envs.gym envs.nodes envs.library_robots envs.library envs.check envs.factory envs.state envs",
+    "envs.serial envs.robots envs.reward envs.records envs.gait envs.simulation envs.simulator_state envs.batched "
+    "envs.dmc envs.gym envs.nodes envs.library_robots envs.library envs.check envs.factory envs.state envs",
     "nn.layers nn.graph_conv nn.encoder nn.readout nn.symmetry nn.network nn.actor nn.critic nn",
     "objectives.stacked objectives.td3 objectives.sac objectives",
     "algorithms.adam algorithms.base algorithms.td3 algorithms.ddpg algorithms.sac algorithms",
