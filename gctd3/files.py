@@ -94,9 +94,11 @@ def _unpack(value: Any, file: Any) -> Any:  # noqa: ANN401
         return value
     if "pairs" in value:
         return {key: _unpack(item, file) for key, item in value["pairs"]}
-    if "array" in value:
-        return file.get_tensor(value["array"]).numpy()
-    return file.get_tensor(value["tensor"])
+    # A tensor lies where the file puts it, at any multiple of its item's size. Matrix libraries choose their kernels by
+    # alignment, so a copy in memory of PyTorch's own (at multiples of 64 bytes) is needed to compute the same bits.
+    kind = "array" if "array" in value else "tensor"
+    tensor = file.get_tensor(value[kind]).clone()
+    return tensor.numpy() if kind == "array" else tensor
 
 
 @contextmanager
