@@ -2,7 +2,7 @@
 
 No autograd, modules, TensorDicts, optimiser classes or replay: gradients by hand, activations overwritten in place,
 both critics as one batched product, PyTorch's fused Adam. ``learner_throughput.py`` times it beside the libraries;
-``tests/test_by_hand.py`` checks it against autograd.
+``tests/benchmarks/test_by_hand.py`` checks it against autograd.
 """
 
 from __future__ import annotations

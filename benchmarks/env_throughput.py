@@ -20,7 +20,7 @@ from torchrl.envs import EnvBase
 
 import gctd3
 from gctd3.envs.factory import EnvSettings, build_env
-from gctd3.envs.reward import Reward
+from gctd3.tasks.reward import Reward
 
 ROBOTS, SUBSTEPS, HOLD = 64, 4, 5
 

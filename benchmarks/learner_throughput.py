@@ -30,8 +30,8 @@ from torchrl.objectives import TD3Loss as StockTD3Loss
 import gctd3
 from gctd3.algorithms.base import Architecture, minimize
 from gctd3.algorithms.td3 import TD3Settings
+from gctd3.data.replay import Replay, ReplaySettings
 from gctd3.nn import Network
-from gctd3.replay import Replay, ReplaySettings
 
 HELD, UPDATES = 20_000, 20  # transitions in each buffer; updates timed at once
 ROBOTS, NODES, FEATURES, ACTIONS, COUNTERS = 20, 8, 10, 6, 4

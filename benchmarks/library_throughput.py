@@ -2,7 +2,8 @@
 
     python benchmarks/library_throughput.py [out=FILE.json] [rounds=5] [sizes=1,8]
 
-Both give the same numbers (``tests/test_library_robots.py``): nodes, two frames of them, resets. Actions are random.
+Both give the same numbers (``tests/envs/test_library_robots.py``): nodes, two frames of them, resets. Actions are
+random.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from gctd3.envs.factory import build_env
 from gctd3.envs.library import Library, LibrarySettings
 from gctd3.envs.library_robots import observed
 from gctd3.envs.nodes import with_nodes
-from gctd3.envs.reward import Reward
+from gctd3.tasks.reward import Reward
 
 TASKS: dict[str, Library] = {
     "HalfCheetah-v5": "gymnasium",

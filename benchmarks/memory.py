@@ -20,7 +20,7 @@ from pathlib import Path
 from common import report
 from gait_table import read_progress
 
-from gctd3.run_log import PROGRESS
+from gctd3.training.run_log import PROGRESS
 
 OWN = {"minutes": "60", "out": "", "runs": "runs/memory"}
 ENDLESS = {"stop_when": "never", "total_frames": "1_000_000_000", "replay.capacity": "100_000"}

@@ -30,12 +30,13 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 
 import gctd3  # noqa: F401 - registers the Gymnasium task
-from gctd3.cli import CONF
+from gctd3.config.build import build
+from gctd3.config.command_line import CONF
 from gctd3.envs.factory import build_env
-from gctd3.evaluation import evaluate
-from gctd3.run_log import PROGRESS
-from gctd3.settings import build
-from gctd3.train_settings import COLUMNS, TrainSettings
+from gctd3.evaluation.rollout import evaluate
+from gctd3.training.run_log import PROGRESS
+from gctd3.training.settings import TrainSettings
+from gctd3.training.stop_when import COLUMNS
 
 RECIPE = "recipe.json"
 ACTION_NOISE = 0.1  # of the TD3 example in Stable-Baselines3's documentation; the class itself adds none
@@ -52,7 +53,7 @@ def shared_settings(every: int, episodes: int) -> TrainSettings:
 
 
 class Judge:
-    """Writes a row of ``progress.csv`` whenever a peer's policy is due, judged as :class:`gctd3.trainer.Trainer` does.
+    """Writes a row of ``progress.csv`` whenever a peer's policy is due, judged as :class:`.Trainer` does.
 
     Args:
         settings: Of :func:`shared_settings`, or of another training whose task and evaluation they share.

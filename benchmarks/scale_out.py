@@ -30,8 +30,8 @@ from hydra import compose, initialize_config_module
 from tensordict import TensorDict
 from tqdm import tqdm
 
-from gctd3.settings import build
-from gctd3.trainer import Trainer
+from gctd3.config.build import build
+from gctd3.training.trainer import Trainer
 
 CORES = (10, 100, 1000)
 # No warm-up, evaluation or checkpoint comes in between.

@@ -25,9 +25,9 @@ import gctd3
 from gctd3.algorithms.base import Architecture
 from gctd3.algorithms.td3 import TD3Settings
 from gctd3.envs.factory import EnvSettings, build_env
-from gctd3.envs.reward import Reward
 from gctd3.nn import Network
-from gctd3.sweep import cores
+from gctd3.tasks.reward import Reward
+from gctd3.training.sweep import cores
 
 FEATURES, ACTIONS = 10, 6
 NODES, BATCH, ROBOTS = 8, 256, (64, 1024)  # where another size grows; the biped has 8 nodes

@@ -18,13 +18,13 @@ from pathlib import Path
 from common import commit, options
 from omegaconf import OmegaConf
 
-from gctd3.checkpoint import POLICY, Checkpoints, checked
-from gctd3.envs.reward import Reward
-from gctd3.evaluate import EVALUATION, EvaluateSettings, evaluate_run, table
+from gctd3.config.build import build
 from gctd3.files import new_directory, write_manifest
-from gctd3.run_config import CONFIG, OVERRIDES, load_settings
-from gctd3.settings import build
-from gctd3.train_settings import StopWhen
+from gctd3.runs.judge import EVALUATION, EvaluateSettings, evaluate_run, table
+from gctd3.tasks.reward import Reward
+from gctd3.training.checkpoint import POLICY, Checkpoints, checked
+from gctd3.training.saved_configuration import CONFIG, OVERRIDES, load_settings
+from gctd3.training.stop_when import StopWhen
 
 EPISODES = 50
 MOST_BYTES = 1_000_000

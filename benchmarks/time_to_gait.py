@@ -29,7 +29,7 @@ from common import options, report
 from gait_table import RETURN, Run, passes, read_progress, said, summary, table, words
 from peers import PACKAGES, RECIPE, versions
 
-from gctd3.run_log import PROGRESS
+from gctd3.training.run_log import PROGRESS
 
 EPISODES = 5
 OURS = ("gctd3", "td3")

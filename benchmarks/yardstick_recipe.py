@@ -23,10 +23,11 @@ class Recipe:
     that the other side lacks: single-step returns, no normalisation, the trained actor evaluated, not an average of it;
     SAC's deviation as its authors make it (``algo.scale=exp``).
 
-    With the same weights, transitions and draws both sides make the same updates (``tests/test_yardstick_updates.py``);
-    with the same starts and draws both keep the same transitions, get the same returns and train the same weights
-    (``tests/test_yardstick_data.py``). What is left: theirs adds TD3's and DDPG's noise to the uniform actions too,
-    updates first one step later, may draw the newest transition, and adds 1e-6 to what it takes SAC's logarithm of.
+    With the same weights, transitions and draws both sides make the same updates
+    (``tests/benchmarks/test_yardstick_updates.py``); with the same starts and draws both keep the same transitions, get
+    the same returns and train the same weights (``tests/benchmarks/test_yardstick_data.py``). What is left: theirs adds
+    TD3's and DDPG's noise to the uniform actions too, updates first one step later, may draw the newest transition, and
+    adds 1e-6 to what it takes SAC's logarithm of.
 
     Attributes:
         learning_rate: Of Adam, for every network and SAC's temperature.

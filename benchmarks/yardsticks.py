@@ -5,7 +5,7 @@
 
 Trains an MLP on Gymnasium's own observation with the values of ``benchmarks/yardstick_recipe.py``; ours is
 ``python -m gctd3.train env=... env.observation=flat``, theirs a model of Stable-Baselines3's. Both are judged every
-``every`` steps over ``episodes`` episodes by :func:`gctd3.evaluation.evaluate`, from the same starts. Trainings run one
+``every`` steps over ``episodes`` episodes by :func:`.rollout.evaluate`, from the same starts. Trainings run one
 after another, seed by seed. Each is written to ``out`` as soon as it is over; those that ``out`` holds are not made
 again, so that the same command goes on after it was stopped. On two cores: one command for each task, each with its own
 ``out``.
@@ -29,11 +29,11 @@ from peers import ENDLESS, Judge, versions
 from yardstick_curves import SIDES, Run, compare, draw, figures, table
 from yardstick_recipe import ALGORITHMS, TASKS, Recipe, ours, theirs
 
-from gctd3.cli import CONF
-from gctd3.run_config import CONFIG
-from gctd3.run_log import PROGRESS
-from gctd3.settings import build
-from gctd3.train_settings import TrainSettings
+from gctd3.config.build import build
+from gctd3.config.command_line import CONF
+from gctd3.training.run_log import PROGRESS
+from gctd3.training.saved_configuration import CONFIG
+from gctd3.training.settings import TrainSettings
 
 # Which results belong together.
 KEPT = ("steps", "every", "episodes", "random_steps")

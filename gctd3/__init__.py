@@ -10,24 +10,53 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gctd3.checkpoint import load_policy as load_policy
     from gctd3.envs.factory import make_env as make_env
-    from gctd3.graph import KinematicGraph as KinematicGraph
     from gctd3.nn import make_actor as make_actor
     from gctd3.nn import make_critic as make_critic
     from gctd3.nn import make_stochastic_actor as make_stochastic_actor
-    from gctd3.robot import Robot as Robot
+    from gctd3.robots.graph import KinematicGraph as KinematicGraph
+    from gctd3.robots.robot import Robot as Robot
+    from gctd3.runs.load import load_policy as load_policy
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "KinematicGraph": "gctd3.graph",
-    "Robot": "gctd3.robot",
-    "load_policy": "gctd3.checkpoint",
+    "KinematicGraph": "gctd3.robots.graph",
+    "Robot": "gctd3.robots.robot",
+    "load_policy": "gctd3.runs.load",
     "make_actor": "gctd3.nn",
     "make_critic": "gctd3.nn",
     "make_env": "gctd3.envs.factory",
     "make_stochastic_actor": "gctd3.nn",
+}
+# What the ``_target_`` of a YAML may name of gctd3. Configurations of runs hold these names, so they outlive moves.
+_TARGETS = {
+    "DDPGSettings": "gctd3.algorithms.ddpg",
+    "Endings": "gctd3.tasks.reward",
+    "EnvSettings": "gctd3.envs.factory",
+    "EvaluateSettings": "gctd3.runs.judge",
+    "EvaluationSettings": "gctd3.training.settings",
+    "ExplorationSettings": "gctd3.data.exploration",
+    "ExportSettings": "gctd3.deploy.export",
+    "GraphSettings": "gctd3.viz.graph_drawing",
+    "InlineSettings": "gctd3.data.collector_settings",
+    "LibrarySettings": "gctd3.envs.library",
+    "Network": "gctd3.nn.network",
+    "Perturbations": "gctd3.evaluation.robustness",
+    "ProcessSettings": "gctd3.data.collector_settings",
+    "RaySettings": "gctd3.data.ray_cluster",
+    "RenderSettings": "gctd3.runs.draw",
+    "ReplaySettings": "gctd3.data.replay",
+    "ReportSettings": "gctd3.comparison.report",
+    "Reward": "gctd3.tasks.reward",
+    "RobotSettings": "gctd3.robots.settings",
+    "SACSettings": "gctd3.algorithms.sac",
+    "Start": "gctd3.envs.simulation",
+    "StopTogether": "gctd3.training.sweep",
+    "StopWhen": "gctd3.training.stop_when",
+    "TD3Settings": "gctd3.algorithms.td3",
+    "TrainSettings": "gctd3.training.settings",
+    "ViewSettings": "gctd3.runs.show",
 }
 __all__ = sorted(_HOME)
 
@@ -43,9 +72,10 @@ with suppress(ModuleNotFoundError):
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - any of the names above
-    if name not in _HOME:
+    home = _HOME.get(name) or _TARGETS.get(name)
+    if home is None:
         raise AttributeError(f"module 'gctd3' has no attribute {name!r}; it has {', '.join(__all__)}.")
-    return getattr(import_module(_HOME[name]), name)
+    return getattr(import_module(home), name)
 
 
 def __dir__() -> list[str]:

@@ -6,8 +6,8 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+from gctd3.config.help import COMMANDS, HELP, asks_for_help, check_installed, fail, help_of, overview
 from gctd3.errors import suggest
-from gctd3.usage import COMMANDS, HELP, asks_for_help, check_installed, fail, help_of, overview
 
 
 def run(command: str) -> None:

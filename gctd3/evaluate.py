@@ -2,194 +2,25 @@
 
 from __future__ import annotations
 
-import json
-import math
-from dataclasses import asdict, dataclass, field
-from importlib.util import find_spec
-from pathlib import Path
-from typing import Any
-
-import numpy as np
 from omegaconf import DictConfig
 
-from gctd3.cli import command
-from gctd3.envs.factory import build_env
-from gctd3.envs.library import LibrarySettings
-from gctd3.envs.reward import Reward
-from gctd3.episode import LAST_METRES, Episode
-from gctd3.errors import RunError
-from gctd3.evaluation import Judging, evaluate
-from gctd3.files import new_file, write_text
-from gctd3.gait_summary import OF_STRIDES, summarize, why_missing
-from gctd3.robot import Robot
-from gctd3.robustness import Examination, Perturbations
-from gctd3.robustness import table as robustness_table
-from gctd3.settings import build
-
-# Table 5 of the paper, column GCTD3. Its body position seems to count from the spawn height, 0.0235 m above standing.
-PAPER = {"return_mean": 380.0, "return_std": 18.47, "velocity_mean": 1.414, "body_position_mean": -0.0202}
-EVALUATION, TRACE = "evaluation.json", "trace.csv"
-ROBUSTNESS, ROBUSTNESS_PICTURE = "robustness.json", "robustness.png"
-
-
-@dataclass(frozen=True)
-class EvaluateSettings(Judging):
-    """What ``gctd3.evaluate`` is asked to do.
-
-    Attributes:
-        run: Directory of the run; the policy that ships with the library if ``None``.
-        reward: Under which to judge.
-        out: Directory to write to; the run's if ``None``, nowhere if there is no run either.
-        robustness: Whether to push, load and disturb the robot, too.
-        perturbations: By how much.
-    """
-
-    run: str | None
-    reward: Reward
-    out: str | None = None
-    robustness: bool = False
-    perturbations: Perturbations = field(default_factory=Perturbations)
-
-    @property
-    def folder(self) -> Path | None:
-        """Where to write."""
-        place = self.run if self.out is None else self.out
-        return Path(place) if place is not None else None
-
-
-def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
-    """Judge the best policy of a run and write ``evaluation.json`` and ``trace.csv`` to ``settings.folder``.
-
-    Returns:
-        What was written.
-
-    Raises:
-        RunError: If the directory is not a run, one of another version, or of a task that robustness is not for.
-    """
-    from gctd3.checkpoint import load_policy, versions
-    from gctd3.run_config import find_run, load_settings
-
-    run, folder = find_run(settings.run), settings.folder
-    trained = load_settings(run)
-    if settings.robustness and isinstance(trained.env, LibrarySettings):
-        raise RunError(f"{run} was trained on {trained.env.task}: robustness is for the walking task only.")
-    policy = load_policy(run)
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-    robot = trained.load_robot()
-    judged = trained.env.judging(settings.episodes, settings.threads)
-    env = build_env(robot, judged, settings.reward, settings.seed)
-    walks = not isinstance(judged, LibrarySettings)
-    result = evaluate(policy, env, robot, settings.seed, judged.control_dt, record=walks)
-    task = {"task": judged.task} if isinstance(judged, LibrarySettings) else {"reward": asdict(settings.reward)}
-    report: dict[str, object] = {
-        **task,
-        **result.summary(),
-        "gait": {**result.gait(), **(summarize(result.episodes, robot, judged.control_dt) if walks else {})},
-        "seeds": {"training": trained.seed, "evaluation": settings.seed},
-        "versions": versions(),
-    }
-    report = {key: _finite(value) for key, value in report.items()}
-    if folder is not None:
-        if walks:
-            write_text(folder / TRACE, trace(result.typical, robot, judged.control_dt))
-        write_text(folder / EVALUATION, json.dumps(report, indent=2) + "\n")
-    return report
-
-
-def examine_run(settings: EvaluateSettings, stride_time: float | None) -> dict[str, Any]:
-    """Try what the best policy of a run stands, and write ``robustness.json``, with matplotlib a picture too.
-
-    Args:
-        settings: As for :func:`evaluate_run`.
-        stride_time: Of its gait (s), if it has strides.
-
-    Returns:
-        What was written, see :meth:`.Examination.results`.
-    """
-    from gctd3.checkpoint import load_policy, versions
-    from gctd3.run_config import find_run, load_settings
-
-    run, folder = find_run(settings.run), settings.folder
-    trained = load_settings(run)
-    env = trained.env.judging(settings.episodes, settings.threads)
-    if isinstance(env, LibrarySettings):
-        raise RunError(f"{run} was trained on {env.task}: robustness is for the walking task only.")
-    examination = Examination(
-        load_policy(run), trained.load_robot(), env, settings.reward, settings.seed, settings.perturbations
-    )
-    results = {**examination.results(stride_time), "reward": asdict(settings.reward), "versions": versions()}
-    if folder is None:
-        return results
-    write_text(folder / ROBUSTNESS, json.dumps(_finite(results), indent=1) + "\n")
-    if find_spec("matplotlib") is not None:
-        from gctd3 import robustness_plot
-
-        with new_file(folder / ROBUSTNESS_PICTURE) as aside:
-            robustness_plot.save(results, aside)
-    return results
-
-
-def trace(episode: Episode, robot: Robot, dt: float) -> str:
-    """An episode whose motion was recorded as CSV, a row for each control step, units in the head.
-
-    Raises:
-        ValueError: If its motion was not recorded.
-    """
-    motion = episode.motion
-    if motion is None:
-        raise ValueError("The episode's motion was not recorded; evaluate(..., record=True) does.")
-    names = [joint.name for joint in robot.joints]
-    head = ["time_s", "position_m", "height_m", "velocity_m_s"]
-    head += [f"angle_{name}_rad" for name in names] + [f"velocity_{name}_rad_s" for name in names]
-    head += [f"down_{foot}" for foot in robot.feet]
-    time = dt * np.arange(1, len(episode.position) + 1)
-    columns = [time, episode.position, episode.height, motion.velocity, *motion.angles.T, *motion.velocities.T]
-    rows = zip(*columns, *episode.feet_down.T.astype(int), strict=True)
-    return "\n".join([",".join(head), *(",".join(f"{value:.6g}" for value in row) for row in rows)]) + "\n"
-
-
-def table(report: dict[str, object]) -> str:
-    """The report beside the paper's row."""
-    rows = [
-        ("episodes", "episodes", "{:.0f}", None),
-        ("return", "return_mean", "{:.1f}", "return_std"),
-        ("velocity, m/s", "velocity_mean", "{:.3f}", None),
-        ("distance, m", "distance_mean", "{:.2f}", None),
-        ("success rate", "success_rate", "{:.2f}", None),
-        ("body position, m from standing", "body_position_mean", "{:.4f}", None),
-    ]
-    lines = [f"{'':34}{'this policy':>18}{'paper, GCTD3':>18}"]
-
-    def cell(values: dict[str, object], key: str, form: str, spread: str | None) -> str:
-        if key not in values:
-            return "-"
-        text = form.format(values[key])
-        return f"{text} ± {form.format(values[spread])}" if spread else text
-
-    # The paper has nothing to say of a library's task.
-    paper: dict[str, object] = {} if "task" in report else {**PAPER, "episodes": 50}
-    for label, key, form, spread in rows:
-        lines.append(f"{label:34}{cell(report, key, form, spread):>18}{cell(paper, key, form, spread):>18}")
-    gait = report["gait"]
-    if not isinstance(gait, dict) or not gait:
-        return "\n".join([*lines, f"No episode got {LAST_METRES:.0f} m far, so there is no gait to measure."])
-    lines += ["", f"Gait over the last {LAST_METRES:.0f} m of {gait['episodes']:.0f} episodes"]
-    for key, value in gait.items():
-        if key != "episodes":
-            said = f"{value:.4g}" if value is not None else why_missing(gait, key) if key in OF_STRIDES else "undefined"
-            lines.append(f"{key.replace('_', ' '):34}{said:>18}")
-    return "\n".join(lines)
-
-
-def _finite(value: object) -> object:
-    """``value`` with undefined numbers as ``null``, which JSON can hold."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+from gctd3.config.build import build
+from gctd3.config.command_line import command
 
 
 def _task(config: DictConfig) -> None:
+    from gctd3.evaluation.robustness import table as robustness_table
+    from gctd3.runs.judge import (
+        EVALUATION,
+        ROBUSTNESS,
+        ROBUSTNESS_PICTURE,
+        TRACE,
+        EvaluateSettings,
+        evaluate_run,
+        examine_run,
+        table,
+    )
+
     settings: EvaluateSettings = build(config)
     report = evaluate_run(settings)
     print(table(report))
@@ -205,7 +36,7 @@ def _task(config: DictConfig) -> None:
 
 
 def main() -> None:
-    """Entry point of ``python -m gctd3.evaluate``."""
+    """Run ``python -m gctd3.evaluate``."""
     command("evaluate", _task)
 
 

@@ -3,128 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
-from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
-
-from gctd3.cli import command
+from gctd3.config.command_line import command
 from gctd3.errors import RunError
-from gctd3.interrupt import StopRequest, only_one
-from gctd3.run_config import CONFIG, changed, choices, save_config
-from gctd3.settings import build
-from gctd3.sweep import share_cores, stop_file
-
-LOG = "log.txt"  # what runs that are side by side print
-
-
-def train(config: DictConfig) -> float:
-    """Check the configuration, train, say what was reached.
-
-    Returns:
-        The return of the best policy, for a sweeper to maximise; NaN if none was evaluated.
-    """
-    stop = StopRequest(stop_file())
-    if stop.file is not None:
-        # Beside other runs of a sweep, which is not to end with the first of them.
-        return math.nan if stop else _value(_train(config, stop))
-    # From the start: an import that a signal broke off would look like a missing package.
-    with stop.listening():
-        best = _train(config, stop)
-    if stop:
-        raise SystemExit(stop.exit_code)
-    return _value(best)
-
-
-def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
-    resumed, overrides = config.resume is not None, list(HydraConfig.get().overrides.task)
-    run = Path(str(config.resume)) if resumed else Path(HydraConfig.get().runtime.output_dir)
-    # A sweep into the directory of an earlier one goes on where that one stopped.
-    sweeping = HydraConfig.get().mode is RunMode.MULTIRUN
-    if resumed and not (run / CONFIG).is_file():
-        raise RunError(f"resume={run}: there is no run to continue; a run has a {CONFIG}.")
-    resumed = resumed or (sweeping and (run / CONFIG).is_file())
-    if resumed:
-        config, overrides = changed(run, "config", overrides)
-    if stop.file is not None:
-        share_cores(config)
-    settings = build(config, trusted=not resumed)
-    settings.check_here()
-    # Imported late, so that --help and a wrong setting are answered at once.
-    from gctd3.envs.factory import EnvSettings
-    from gctd3.film import check_film
-    from gctd3.run_log import refuse_a_run
-    from gctd3.trainer import Trainer
-
-    if settings.video:
-        check_film()
-    with only_one(run), _output(run, stop):
-        if not resumed:
-            refuse_a_run(run)
-        trainer = Trainer(settings, run, {"config": OmegaConf.to_container(config, resolve=True)})
-        if resumed and not trainer.restore():
-            print(f"{run} has no checkpoint yet: it starts from the beginning.")
-        save_config(run, config, overrides)
-        print(OmegaConf.to_yaml(config))
-        print(f"Run directory: {run}\n", flush=True)
-        if trainer.finished and sweeping:
-            print("It is finished already.")
-        elif trainer.finished:
-            raise RunError(
-                f"{run} is finished after {trainer.counters.frames:,} steps. To train on, raise total_frames, and "
-                "stop_when.evaluations or stop_when.evaluations=null if its conditions ended it."
-            )
-        trainer.run(stop)
-        print(_summary(trainer.best, run, walks=isinstance(settings.env, EnvSettings)))
-        if not trainer.finished:
-            print(f"Continue it:  python -m gctd3.train resume={run}")
-    if stop.file is not None:
-        print(f"{run}: {'stopped' if stop else 'done'}. {_said(trainer.best)}", flush=True)
-    return trainer.best
-
-
-@contextlib.contextmanager
-def _output(run: Path, stop: StopRequest) -> Iterator[None]:
-    """Where a run prints to: of runs side by side nobody could tell whose line is whose."""
-    if stop.file is None:
-        yield
-        return
-    print(f"{run}: begins; what it prints is in its {LOG}", flush=True)
-    with (
-        (run / LOG).open("a", encoding="utf-8", buffering=1) as log,
-        contextlib.redirect_stdout(log),
-        contextlib.redirect_stderr(log),
-    ):
-        yield
-
-
-def _value(best: dict[str, float] | None) -> float:
-    return math.nan if best is None else best["return_mean"]
-
-
-def _summary(best: dict[str, float] | None, run: Path, walks: bool) -> str:
-    """What was reached and how to look at it; only the walking task can be drawn."""
-    judge = f"\nJudge it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
-    judge += f"\nWatch it walk:  python -m gctd3.view run={run}" if walks else ""
-    return f"\n{_said(best)}{judge if best is not None else ''}"
-
-
-def _said(best: dict[str, float] | None) -> str:
-    if best is None:
-        return "It has not been evaluated yet, so there is no policy to judge."
-    return (
-        f"Best evaluation, after {best['frames']:,.0f} steps and {best['wall_s'] / 60:.1f} minutes: "
-        f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}, success {best['success_rate']:.0%}, "
-        f"{best['distance_mean']:.1f} m at {best['velocity_mean']:.2f} m/s."
-    )
+from gctd3.training.saved_configuration import CONFIG, choices
+from gctd3.training.session import train
 
 
 def main() -> None:
-    """Entry point of ``python -m gctd3.train``."""
+    """Run ``python -m gctd3.train``."""
     resumed = [argument.split("=", 1)[1] for argument in sys.argv[1:] if argument.startswith("resume=")]
     if resumed and resumed[-1] not in ("null", ""):
         # Hydra's own directory is the run's, so that nothing is written elsewhere; nor made if there is no run.

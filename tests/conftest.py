@@ -5,9 +5,9 @@ import torch
 from hypothesis import settings
 from running import command
 
-from gctd3.envs.gait import WalkingTask
-from gctd3.graph import KinematicGraph
-from gctd3.robot import Robot
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.robot import Robot
+from gctd3.tasks.walk import WalkingTask
 
 # Derandomised, so that a failure seen once is seen by everybody; no deadline, since machines differ.
 settings.register_profile("gctd3", deadline=None, derandomize=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gctd3.envs.records import Measurement
+from gctd3.tasks.step_records import Measurement
 
 RIGHT, LEFT = 0, 1
 

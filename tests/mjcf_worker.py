@@ -2,10 +2,10 @@
 
 import sys
 
-from gctd3.envs.gait import WalkingTask
 from gctd3.errors import GCTD3Error
-from gctd3.graph import KinematicGraph
-from gctd3.robot import Robot
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.robot import Robot
+from gctd3.tasks.walk import WalkingTask
 
 for line in sys.stdin:
     try:

@@ -3,8 +3,8 @@
 import torch
 from running import TINY, Recorded, command, rows, tiny
 
-from gctd3.checkpoint import Checkpoints
 from gctd3.files import load_tree
+from gctd3.training.checkpoint import Checkpoints
 
 TIMED = ("wall_s",)
 

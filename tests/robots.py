@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from gctd3.robot import Robot
+from gctd3.robots.robot import Robot
 
 TWO_LEGS = """
 <mujoco>

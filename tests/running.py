@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from gctd3 import trainer as trainer_module
-from gctd3.trainer import Trainer
+from gctd3.training import trainer as trainer_module
+from gctd3.training.trainer import Trainer
 
 # Four robots for 60 steps, the first 20 to warm up.
 TINY = {

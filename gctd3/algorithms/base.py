@@ -16,10 +16,10 @@ from torchrl.objectives import LossModule
 
 from gctd3.algorithms.adam import Adam
 from gctd3.errors import ConfigError
-from gctd3.graph import KinematicGraph
 from gctd3.nn import Network, make_actor, make_critic, make_stochastic_actor
 from gctd3.nn.actor import Scale
-from gctd3.reflection import Reflection
+from gctd3.robots.graph import KinematicGraph
+from gctd3.tasks.reflection import Reflection
 
 Metrics = dict[str, Tensor]
 EAGER = 2  # updates before compiling, in which every loss is called once and gets its networks

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from gctd3.envs.gait import FEATURES
-from gctd3.envs.robots import RobotsEnv, column, ends
+from gctd3.envs.robots_env import RobotsEnv, column, ends
 from gctd3.envs.simulation import Simulation
+from gctd3.tasks.walk import FEATURES
 
 
 class BatchedEnv(RobotsEnv):

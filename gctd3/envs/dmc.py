@@ -12,10 +12,10 @@ import numpy as np
 from dm_env import specs
 from torchrl.envs import DMControlWrapper
 
-from gctd3.envs.gait import FEATURES, WalkingTask
-from gctd3.envs.records import Measurement, Outcome, Progress, from_dict, to_dict
+from gctd3.envs.mujoco_state import integration_state, load_integration_state
 from gctd3.envs.simulation import Start, substeps_of
-from gctd3.envs.simulator_state import integration_state, load_integration_state
+from gctd3.tasks.step_records import Measurement, Outcome, Progress, from_dict, to_dict
+from gctd3.tasks.walk import FEATURES, WalkingTask
 
 with warnings.catch_warnings():
     # Without a display GLFW only warns, and dm_control settles on it; an error sends it on to EGL, then OSMesa.

@@ -16,13 +16,13 @@ from torchrl.envs import (
 )
 
 from gctd3.envs.check import CheckStep
-from gctd3.envs.gait import WalkingTask
 from gctd3.envs.library import MOST_FRAMES, MOST_ROBOTS, LibrarySettings, build_library_env
-from gctd3.envs.reward import Endings, Reward
 from gctd3.envs.serial import SerialRobots
 from gctd3.envs.simulation import Simulation, Start
 from gctd3.errors import ConfigError, check_between
-from gctd3.robot import Robot
+from gctd3.robots.robot import Robot
+from gctd3.tasks.reward import Endings, Reward
+from gctd3.tasks.walk import WalkingTask
 
 Backend = Literal["batched", "dm_control"]
 MOST_THREADS = 1024
@@ -98,6 +98,32 @@ def build_env(robot: Robot, settings: EnvSettings | LibrarySettings, reward: Rew
     stack = CatFrames(N=settings.history, dim=-1, in_keys=["nodes"], padding="same")
     checks = [CheckStep()] if settings.check else []
     return TransformedEnv(env, Compose(*extras, stack, *checks))
+
+
+@dataclass(frozen=True)
+class EnvRecipe:
+    """All that it takes to make an environment, in another process too.
+
+    Attributes:
+        robot: The robot.
+        settings: How it is simulated.
+        reward: Of the walking task.
+    """
+
+    robot: Robot
+    settings: EnvSettings | LibrarySettings
+    reward: Reward
+
+    def share(self, num_envs: int, threads: int) -> EnvRecipe:
+        """Return the recipe for some of the robots, simulated by ``threads`` threads."""
+        settings = replace(self.settings, num_envs=num_envs)
+        if isinstance(settings, EnvSettings):
+            settings = replace(settings, threads=threads)
+        return replace(self, settings=settings)
+
+    def make(self, seed: int) -> EnvBase:
+        """Make the environment; see :func:`build_env`."""
+        return build_env(self.robot, self.settings, self.reward, seed)
 
 
 def make_env(

@@ -9,11 +9,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from gctd3.envs.gait import FEATURES, WalkingTask
-from gctd3.envs.reward import Reward
 from gctd3.envs.simulation import Simulation
 from gctd3.errors import ConfigError
-from gctd3.robot import Robot
+from gctd3.robots.robot import Robot
+from gctd3.tasks.reward import Reward
+from gctd3.tasks.walk import FEATURES, WalkingTask
 
 
 def _spaces(task: WalkingTask, history: int) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:

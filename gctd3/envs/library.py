@@ -11,13 +11,13 @@ import mujoco
 import numpy as np
 from torchrl.envs import CatFrames, Compose, DMControlEnv, EnvBase, GymEnv, TransformedEnv
 
-from gctd3.base import Axis
-from gctd3.envs.gait import FEATURES
 from gctd3.envs.library_robots import LibraryRobots, observed
 from gctd3.envs.nodes import STATIC, NodeSensor, simulator
 from gctd3.errors import ConfigError, check_between
-from gctd3.graph import KinematicGraph
-from gctd3.robot import Robot
+from gctd3.robots.floating_base import Axis
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.robot import Robot
+from gctd3.tasks.walk import FEATURES
 
 Library = Literal["dm_control", "gymnasium"]
 MOST_ROBOTS, MOST_FRAMES = 100_000, 1000  # stepped together; stacked into an observation

@@ -11,7 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 
 from gctd3.envs.nodes import NodeSensor, simulator
-from gctd3.envs.robots import RobotsEnv, column, ends
+from gctd3.envs.robots_env import RobotsEnv, column, ends
 
 
 def observed(env: EnvBase) -> list[str]:
@@ -23,8 +23,8 @@ class LibraryRobots(RobotsEnv):
     """A task on several robots, stepped one after another.
 
     What stock TorchRL makes of them with a transform for each of these keys and a :class:`torchrl.envs.SerialEnv`,
-    number by number (``tests/test_library_robots.py``), in a fraction of the time: most of theirs goes into passing
-    small TensorDicts around.
+    number by number (``tests/envs/test_library_robots.py``), in a fraction of the time: most of theirs goes into
+    passing small TensorDicts around.
 
     Args:
         robots: The task on each, as TorchRL has it, its actions in [-1, 1].

@@ -16,11 +16,11 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import CatFrames, Compose, DoubleToFloat, EnvBase, Transform, TransformedEnv
 
-from gctd3.base import Axis
 from gctd3.errors import ConfigError
-from gctd3.graph import KinematicGraph
-from gctd3.mjcf import body_name
-from gctd3.robot import Robot
+from gctd3.robots.floating_base import Axis
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.mjcf import body_name
+from gctd3.robots.robot import Robot
 
 KINDS = ("root", "base", "hinge", "slide", "ball", "ground")
 # An odd number, and a frame's is even: a network that takes them for frames finds that they are none.

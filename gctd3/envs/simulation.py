@@ -10,10 +10,10 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
-from gctd3.envs.gait import WalkingTask
-from gctd3.envs.records import Measurement, Outcome, Progress, from_dict, put, take, to_dict
 from gctd3.errors import ConfigError, NumericalError, RobotError, check_between
-from gctd3.robot import Robot
+from gctd3.robots.robot import Robot
+from gctd3.tasks.step_records import Measurement, Outcome, Progress, from_dict, put, take, to_dict
+from gctd3.tasks.walk import WalkingTask
 
 MOST_SUBSTEPS = 1000
 # Of the simulator's clock (s). Not 0: MuJoCo sets it to that when it starts a robot anew, which is how that is seen.

@@ -3,10 +3,10 @@
 from gctd3.nn.actor import Actor, make_actor, make_stochastic_actor
 from gctd3.nn.critic import Critic, make_critic
 from gctd3.nn.encoder import FlatEncoder, GraphEncoder
+from gctd3.nn.equivariance import Symmetric
 from gctd3.nn.graph_conv import ChebyshevConv, GraphConv
 from gctd3.nn.network import Network
 from gctd3.nn.readout import JointReadout, PooledReadout
-from gctd3.nn.symmetry import Symmetric
 
 __all__ = [
     "Actor",

@@ -11,11 +11,11 @@ from torchrl.data import Bounded
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
 from gctd3.errors import ConfigError
-from gctd3.graph import KinematicGraph
 from gctd3.nn.encoder import GraphEncoder
 from gctd3.nn.network import Network
 from gctd3.nn.readout import JointReadout
-from gctd3.reflection import Reflection
+from gctd3.robots.graph import KinematicGraph
+from gctd3.tasks.reflection import Reflection
 
 NODES, ACTION = "nodes", "action"
 Scale = Literal["softplus", "exp"]

@@ -8,12 +8,12 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
-from gctd3.graph import KinematicGraph
 from gctd3.nn.actor import ACTION, NODES
 from gctd3.nn.encoder import GraphEncoder
 from gctd3.nn.network import Network
 from gctd3.nn.readout import PooledReadout
-from gctd3.reflection import Reflection
+from gctd3.robots.graph import KinematicGraph
+from gctd3.tasks.reflection import Reflection
 
 VALUE = "state_action_value"
 PRIVILEGED = "counters"

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gctd3.graph import KinematicGraph
 from gctd3.nn.graph_conv import ChebyshevConv, GraphConv, GraphLayer
 from gctd3.nn.layers import LayerNorm, Linear
+from gctd3.robots.graph import KinematicGraph
 
 Mixing = Literal["local", "alternating"]
 

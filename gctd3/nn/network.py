@@ -10,12 +10,12 @@ from typing import Literal
 from torch import nn
 
 from gctd3.errors import ConfigError
-from gctd3.graph import KinematicGraph
 from gctd3.nn.encoder import FlatEncoder, GraphEncoder, Mixing
+from gctd3.nn.equivariance import Symmetric
 from gctd3.nn.layers import MLP, LayerNorm, Linear
 from gctd3.nn.readout import JointReadout, PooledReadout
-from gctd3.nn.symmetry import Symmetric
-from gctd3.reflection import Reflection
+from gctd3.robots.graph import KinematicGraph
+from gctd3.tasks.reflection import Reflection
 
 MOST_LAYERS, MOST_UNITS, MOST_WEIGHTS = 100, 16_384, 100_000_000
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from gctd3.errors import ConfigError
-from gctd3.graph import KinematicGraph
+from gctd3.robots.graph import KinematicGraph
 
 
 class JointReadout(nn.Module):

@@ -1,0 +1,49 @@
+"""The runs of a report without their checkpoints: all that its numbers were made of, small enough to be committed."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from gctd3.comparison.groups import typical, with_trace
+from gctd3.comparison.runs import READ, Run
+from gctd3.errors import RunError
+from gctd3.files import new_directory
+from gctd3.runs.judge import TRACE
+from gctd3.training.saved_configuration import CONFIG
+
+FOLDER = "runs"
+
+
+def check_keep(runs: Path, out: Path) -> None:
+    """Refuse to keep runs where something is already, or where the next report would find them twice.
+
+    Raises:
+        RunError: If so.
+    """
+    if (out / FOLDER).exists():
+        raise RunError(f"{out / FOLDER} exists already: remove it, or choose another out, for keep_runs=true.")
+    if out.resolve().is_relative_to(runs.resolve()):
+        raise RunError(f"out={out} is below runs={runs}, whose next report would find what keep_runs=true keeps there.")
+
+
+def keep(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = ()) -> None:
+    """Copy to ``out/runs`` what is read of each run; of traces those that are drawn.
+
+    Args:
+        groups: The runs.
+        out: Directory of the report.
+        lost: Names of those without a configuration, which get an empty one.
+    """
+    with new_directory(out / FOLDER) as aside:
+        for runs in groups.values():
+            drawn = typical(with_trace(runs))
+            for run in runs:
+                for file in READ:
+                    if (run.directory / file).is_file() and (run is drawn or file != Path(TRACE)):
+                        (aside / run.name / file).parent.mkdir(parents=True, exist_ok=True)
+                        shutil.copyfile(run.directory / file, aside / run.name / file)
+        for name in lost:
+            (aside / name / CONFIG).parent.mkdir(parents=True)
+            (aside / name / CONFIG).touch()

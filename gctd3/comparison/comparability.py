@@ -1,0 +1,133 @@
+"""Whether runs may be compared: of one task, judged alike, each seed once."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+
+from gctd3.comparison.runs import Run
+from gctd3.errors import RunError
+from gctd3.evaluation.rollout import Judging
+from gctd3.runs.judge import EVALUATION, ROBUSTNESS
+from gctd3.training.checkpoint import FOLDER
+
+# What has to be the same for numbers to mean the same, and what it is called.
+TOGETHER = {
+    "robot": ("robot.name", "robot.feet", "robot.forward"),
+    "task": ("env._target_", "env.library", "env.task", "env.control_dt", "env.start"),
+    "evaluation reward": ("evaluation.reward",),
+    "endings": ("env.endings",),
+}
+# How many, and the seed of their starts; None where an evaluation does not say.
+Episodes = tuple[int | None, int | None]
+
+
+def check_together(runs: Sequence[Run]) -> None:
+    """Refuse runs whose numbers do not mean the same.
+
+    Raises:
+        RunError: If they differ in robot, task, evaluation reward or endings; it says which, and in what.
+    """
+    problems = []
+    for what, keys in TOGETHER.items():
+        by_value: dict[str, list[Run]] = {}
+        for run in runs:
+            chosen = {k: v for k, v in run.config.items() if any(k == key or k.startswith(f"{key}.") for key in keys)}
+            by_value.setdefault(json.dumps(chosen, sort_keys=True, default=str), []).append(run)
+        if len(by_value) > 1:
+            variants = [json.loads(text) for text in by_value]
+            differing = sorted({k for v in variants for k in v if any(v.get(k) != o.get(k) for o in variants)})
+            problems += [f"  {what}, {key}: {_spread(by_value.values(), key)}" for key in differing]
+    rewards = {json.dumps(r.evaluation["reward"], sort_keys=True) for r in runs if r.evaluation and _reward(r)}
+    if len(rewards) > 1:
+        problems.append(f"  the reward under which {EVALUATION} judges; evaluate them again under one")
+    tried = {json.dumps(run.robustness["perturbations"], sort_keys=True) for run in runs if run.robustness}
+    if len(tried) > 1:
+        problems.append(f"  what {ROBUSTNESS} tried; examine them again with the same perturbations")
+    if problems:
+        raise RunError("These runs do not belong in one report; they differ in\n" + "\n".join(problems))
+
+
+def _reward(run: Run) -> bool:
+    return isinstance((run.evaluation or {}).get("reward"), Mapping)
+
+
+def _spread(sets: Iterable[list[Run]], key: str) -> str:
+    found: dict[str, list[str]] = {}
+    for runs in sets:
+        found.setdefault(str(runs[0].config.get(key)), []).extend(run.name for run in runs)
+    return "; ".join(f"{value} in {', '.join(names[:3])}{', ...' * (len(names) > 3)}" for value, names in found.items())
+
+
+def check_judging(runs: Sequence[Run], judging: Judging) -> None:
+    """Refuse runs that were, or would be, judged over other episodes than most are.
+
+    Args:
+        runs: The runs.
+        judging: For those that have no evaluation yet.
+
+    Raises:
+        RunError: If there are such; it says which, and what judges them alike.
+    """
+    by_judging: dict[Episodes, list[Run]] = {}
+    for run in runs:
+        if run.evaluation is not None:
+            by_judging.setdefault(_judging(run.evaluation), []).append(run)
+    new = [run for run in runs if run.evaluation is None and any((run.directory / FOLDER).glob("best-*"))]
+    if len(by_judging) + bool(new) < 2:
+        return
+    asked = judging.episodes, judging.seed
+    most = max(by_judging, key=lambda how: (None not in how, len(by_judging[how]), how[0] or 0))
+    wanted = asked if None in most else most
+    others = [run for how, members in by_judging.items() if how != wanted for run in members]
+    unlike = bool(new) and asked != wanted
+    if not others and not unlike:
+        return
+    lines = [f"  {_said(*how)}: {', '.join(run.name for run in members)}" for how, members in by_judging.items()]
+    if new:
+        names = ", ".join(run.name for run in new)
+        lines.append(f"  not yet judged, now to be over {_said(*asked)}: {names}")
+    chosen = f"episodes={wanted[0]} seed={wanted[1]}"
+    remedies = [f"  python -m gctd3.evaluate run={run.directory} {chosen}" for run in others]
+    if unlike:
+        remedies.append(f"  the report's own command with {chosen}")
+    raise RunError(
+        "These runs were not judged over the same episodes, so their numbers cannot be compared:\n"
+        + "\n".join([*lines, "What judges them alike:", *remedies])
+    )
+
+
+def _judging(evaluation: Mapping[str, object]) -> Episodes:
+    seeds = evaluation.get("seeds")
+    found = evaluation.get("episodes"), seeds.get("evaluation") if isinstance(seeds, Mapping) else None
+    episodes, seed = (value if isinstance(value, int) else None for value in found)
+    return episodes, seed
+
+
+def _said(episodes: int | None, seed: int | None) -> str:
+    number = "an unknown number of episodes" if episodes is None else f"{episodes} episode{'s' * (episodes != 1)}"
+    return f"{number} from starts of {'an unknown seed' if seed is None else f'seed {seed}'}"
+
+
+def check_seeds(groups: Mapping[str, Sequence[Run]]) -> None:
+    """Refuse groups that have a seed twice, which would count as two.
+
+    Raises:
+        RunError: If there is one; it says which, and where.
+    """
+    problems = []
+    for group, runs in groups.items():
+        by_seed: dict[tuple[object, object], list[Run]] = {}
+        for run in runs:
+            # Other random graphs are other seeds; of other graphs this one says nothing.
+            graph = run.config.get("robot.graph_seed") if run.config.get("robot.graph") == "random" else None
+            by_seed.setdefault((run.seed, graph), []).append(run)
+        for (seed, _), same in by_seed.items():
+            if len(same) > 1:
+                problems.append(f"  {group}, seed {seed}: {' and '.join(str(run.directory) for run in same)}")
+    if problems:
+        raise RunError(
+            "A seed counts once, but these were found more than once:\n"
+            + "\n".join(problems)
+            + "\nMove all but one of each elsewhere."
+        )

@@ -1,0 +1,54 @@
+"""A stride of each group's typical policy in pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+from PIL import Image
+
+from gctd3.comparison.runs import Run
+from gctd3.envs.library import LibrarySettings
+from gctd3.errors import GCTD3Error, RenderError
+from gctd3.robots.robot import Robot
+from gctd3.runs.load import load_policy
+from gctd3.training.checkpoint import FOLDER
+from gctd3.training.saved_configuration import load_settings
+from gctd3.viz.film import draw, record
+
+FRAMES = 8
+SIZE = 256  # pixels of a frame's side
+SEED = 10_000  # of the start, as in evaluations
+BEGIN = 7.0  # m, where gaits have settled
+STRIDE = 0.7  # s, of a gait that has none
+
+
+def stride_of(run: Run, robot: Robot, camera: str = "side") -> tuple[list[tuple[Image.Image, str]], str, str]:
+    """One stride of a run's policy past the first metres, in equal steps of time.
+
+    Returns:
+        The pictures with the time and place of each, what they are, and what to say of them.
+
+    Raises:
+        RenderError: If it cannot be drawn, whatever the reason.
+    """
+    if not (run.directory / FOLDER).is_dir():
+        raise RenderError(f"Of {run.name} there are numbers only, no policy.")
+    try:
+        env = load_settings(run.directory).env
+        if isinstance(env, LibrarySettings):
+            raise RenderError("Only the walking task can be drawn.")
+        walk = record(load_policy(run.directory), robot, env, SEED)
+        time = run.value("stride_time")
+        strides = bool(np.isfinite(time))
+        steps = (time if strides else STRIDE) / env.control_dt
+        first = int(np.argmax(walk.position >= min(BEGIN, walk.position[-1] / 2)))
+        chosen = first + np.round(steps * np.arange(FRAMES) / FRAMES).astype(int)
+        chosen = chosen[chosen < len(walk.qpos)]
+        images = list(draw(walk, robot, chosen, camera, (SIZE, SIZE), env.control_dt, words=False))
+    except GCTD3Error as error:
+        raise RenderError(str(error)) from error
+    what = "a stride" if strides else f"{STRIDE} s, for its stride time is not known"
+    words = [f"{(step + 1) * env.control_dt:.2f} s, {walk.position[step]:.2f} m" for step in chosen]
+    caption = (
+        "Of the policy whose return is the group's median, in equal steps of time; a line on the floor every metre."
+    )
+    return list(zip(images, words, strict=True)), what, caption

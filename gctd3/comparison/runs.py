@@ -1,0 +1,265 @@
+"""Runs below a directory: what they are, how they ended, and how they were judged."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from gctd3.errors import GCTD3Error, RunError
+from gctd3.evaluation.rollout import Judging
+from gctd3.files import MANIFEST, read_manifest
+from gctd3.runs.judge import EVALUATION, ROBUSTNESS, TRACE, EvaluateSettings, evaluate_run
+from gctd3.training.run_log import PROGRESS
+from gctd3.training.saved_configuration import CONFIG, OVERRIDES, command_line, flat, load_config, load_settings
+from gctd3.training.stop_when import StopWhen
+from gctd3.training.trainer import POST_MORTEM
+
+# All that is read of a run, but for its policy.
+READ = (CONFIG, OVERRIDES, *map(Path, (PROGRESS, EVALUATION, TRACE, ROBUSTNESS)), Path(POST_MORTEM) / MANIFEST)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One training and its judgement.
+
+    Attributes:
+        directory: Where it is.
+        name: Its path below the directory that is reported on.
+        config: Its configuration by dotted key.
+        algorithm: The option of ``algo`` that it was started with.
+        rows: Its evaluations in training, as in ``progress.csv``; what is undefined is left out.
+        evaluation: Its ``evaluation.json``.
+        trace: Columns of its ``trace.csv``.
+        robustness: Its ``robustness.json``.
+        failure: Why it has no evaluation.
+        trouble: What kept its training from its end.
+        overrides: The command line that it was started with, by key.
+    """
+
+    directory: Path
+    name: str
+    config: Mapping[str, Any]
+    algorithm: str
+    rows: Sequence[Mapping[str, float]] = ()
+    evaluation: Mapping[str, Any] | None = None
+    trace: Mapping[str, np.ndarray] | None = None
+    robustness: Mapping[str, Any] | None = None
+    failure: str | None = None
+    trouble: str | None = None
+    overrides: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def seed(self) -> int:
+        """Of the training."""
+        return int(self.config.get("seed", 0))
+
+    @property
+    def minutes(self) -> float:
+        """From the beginning to its last evaluation, NaN if there was none."""
+        return self.rows[-1].get("wall_s", math.nan) / 60.0 if self.rows else math.nan
+
+    @property
+    def minutes_to_finish(self) -> float:
+        """Until the first evaluation in which every episode reached the finish; NaN if there was none."""
+        return self.finished[0].get("wall_s", math.nan) / 60.0 if self.finished else math.nan
+
+    @property
+    def finished(self) -> list[Mapping[str, float]]:
+        """Its evaluations in training in which every episode reached the finish."""
+        return [row for row in self.rows if row.get("success_rate", 0.0) >= 1.0]
+
+    @property
+    def rule(self) -> StopWhen:
+        """By which it ranked its policies."""
+        at_least, at_most = (
+            {
+                key.rpartition(".")[2]: value
+                for key, value in self.config.items()
+                if key.startswith(f"stop_when.{side}.")
+            }
+            for side in ("at_least", "at_most")
+        )
+        return StopWhen(at_least, at_most)
+
+    @property
+    def gait(self) -> Mapping[str, float | None]:
+        """Of its evaluation; empty if it got nowhere."""
+        return (self.evaluation or {}).get("gait") or {}
+
+    def value(self, key: str) -> float:
+        """A number of its evaluation, of the gait if it is not at the top; NaN if it is missing or undefined."""
+        found = (self.evaluation or {}).get(key)
+        if found is None:
+            found = self.gait.get(key)
+        return float(found) if isinstance(found, (int, float)) else math.nan
+
+
+def find_runs(root: Path) -> list[Run]:
+    """All runs below ``root``, or ``root`` itself, that have a configuration.
+
+    Raises:
+        RunError: If there is none, or one cannot be read.
+    """
+    if not root.is_dir():
+        raise RunError(f"No directory at {root}.")
+    directories = [directory for directory in _directories(root) if _configured(directory)]
+    if not directories:
+        raise RunError(f"No runs below {root}: none of its directories has a {CONFIG}, as gctd3.train leaves behind.")
+    return [read_run(directory, root) for directory in directories]
+
+
+def lost_runs(root: Path) -> list[str]:
+    """Names of the runs below ``root`` whose configuration is empty or missing, so that nothing is known of them."""
+    return [_name(directory, root) for directory in _directories(root) if not _configured(directory)]
+
+
+def _directories(root: Path) -> list[Path]:
+    """Of runs, by what a run that was killed as it began has at least."""
+    return sorted({found.parent for name in (CONFIG.parent.name, PROGRESS) for found in root.rglob(name)})
+
+
+def _configured(directory: Path) -> bool:
+    file = directory / CONFIG
+    # A file that a power cut emptied may hold zeros.
+    return file.is_file() and bool(file.read_bytes().strip(b"\0 \r\n"))
+
+
+def _name(directory: Path, root: Path) -> str:
+    return str(directory.relative_to(root)) if directory != root else directory.name
+
+
+def read_run(directory: Path, root: Path) -> Run:
+    """A run and what has been written about it.
+
+    Raises:
+        RunError: If one of its files is damaged.
+    """
+    try:
+        config = flat(load_config(directory))
+        items = command_line(directory) if (directory / OVERRIDES).is_file() else []
+    except RunError as error:
+        raise RunError(f"{error}\nMove {directory} elsewhere to report on the others.") from error
+    overrides = dict(item.split("=", 1) for item in items if "=" in item)
+    rows = _progress(directory / PROGRESS)
+    run = Run(directory, _name(directory, root), config, overrides.get("algo", "gctd3"), rows)
+    return judged(replace(run, overrides=overrides, trouble=_trouble(run)))
+
+
+def _trouble(run: Run) -> str | None:
+    """What a crash left behind, or that the training is not over; ``None`` of one that came to its end."""
+    if (run.directory / POST_MORTEM).is_dir():
+        try:
+            return f"crashed: {read_manifest(run.directory / POST_MORTEM)['error']}"
+        except (RunError, KeyError):
+            return f"crashed; what is in {POST_MORTEM} cannot be read"
+    config, rows = run.config, run.rows
+    if "total_frames" not in config:
+        return None
+    if not rows:
+        return "stopped before its first evaluation"
+    last, batch = rows[-1], config.get("env.num_envs", 1) * config.get("steps", 1)
+    episodes = config.get("total_episodes")
+    spent = last["frames"] + batch > config["total_frames"]
+    if spent or (episodes is not None and last.get("train_episodes", 0) >= episodes) or _reached(run):
+        return None
+    return f"stopped at {last['frames']:,.0f} of {config['total_frames']:,} frames"
+
+
+def _reached(run: Run) -> bool:
+    """Whether its last evaluations show what ``stop_when`` asks for."""
+    wanted = run.config.get("stop_when.evaluations")
+    late = run.rows[-wanted:] if wanted else []
+    return bool(late) and len(late) == wanted and all(map(run.rule.all_reached, late))
+
+
+def judged(run: Run) -> Run:
+    """The run with its evaluation, trace and robustness, if it has them.
+
+    Raises:
+        RunError: If one of these is damaged.
+    """
+    file, evaluation, trace = run.directory / EVALUATION, None, None
+    if file.is_file():
+        try:
+            evaluation = json.loads(file.read_text(encoding="utf-8"))
+            if not {"return_mean", "velocity_mean", "success_rate"} <= set(evaluation):
+                raise ValueError("it lacks return_mean, velocity_mean or success_rate")
+        except (ValueError, TypeError) as error:
+            raise RunError(f"{file} cannot be read: {error}; delete it to have the run evaluated again.") from error
+    if (run.directory / TRACE).is_file():
+        rows = _rows(run.directory / TRACE, "delete it, or evaluate the run again for a new one")
+        trace = {key: np.array([row[key] for row in rows]) for key in rows[0]} if rows else None
+    return replace(run, evaluation=evaluation, trace=trace, robustness=_robustness(run.directory / ROBUSTNESS))
+
+
+def _robustness(file: Path) -> Mapping[str, Any] | None:
+    if not file.is_file():
+        return None
+    try:
+        found: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        if not {"conditions", "shoves", "perturbations"} <= set(found):
+            raise ValueError("it lacks conditions, shoves or perturbations")
+    except (ValueError, TypeError) as error:
+        raise RunError(f"{file} cannot be read: {error}; delete it, or examine the run again.") from error
+    return found
+
+
+def evaluated(runs: Sequence[Run], judging: Judging) -> list[Run]:
+    """The runs, those that had no evaluation now with one, or with the reason why there can be none."""
+    missing = [run for run in runs if run.evaluation is None]
+    done = {}
+    for run in tqdm(missing, desc="evaluating", unit=" run", disable=not missing):
+        done[run.name] = _evaluate(run, judging)
+    return [done.get(run.name, run) for run in runs]
+
+
+def _evaluate(run: Run, judging: Judging) -> Run:
+    try:
+        reward = load_settings(run.directory).evaluation.reward
+        shared = {item.name: getattr(judging, item.name) for item in fields(Judging)}
+        evaluate_run(EvaluateSettings(str(run.directory), reward, **shared))
+    except GCTD3Error as error:
+        return replace(run, failure=str(error).replace(f"{run.directory}/", ""))
+    return judged(run)
+
+
+def _progress(file: Path) -> list[dict[str, float]]:
+    if not file.is_file():
+        return []
+    hint = f"correct it, or move {file.parent} elsewhere to report on the others"
+    known = [{key: value for key, value in row.items() if math.isfinite(value)} for row in _rows(file, hint)]
+    if any("frames" not in row for row in known):
+        raise RunError(f"{file} cannot be read: not every line says how many frames; {hint}.")
+    return known
+
+
+def _rows(file: Path, hint: str) -> list[dict[str, float]]:
+    """Numbers of a CSV file by column, NaN where there is none.
+
+    Args:
+        file: The file.
+        hint: What to do if it cannot be read.
+
+    Raises:
+        RunError: If it cannot.
+    """
+    line, found = 1, []
+    try:
+        lines = csv.reader(file.read_text(encoding="utf-8").splitlines())
+        head = next(lines, [])
+        for cells in filter(None, lines):
+            line = lines.line_num
+            if len(cells) != len(head):
+                raise ValueError(f"{len(cells)} cells under {len(head)} columns")
+            found.append({key: float(text or "nan") for key, text in zip(head, cells, strict=True)})
+    except (ValueError, csv.Error) as error:
+        raise RunError(f"{file} cannot be read: line {line}, {error}; {hint}.") from error
+    return found

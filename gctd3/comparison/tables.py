@@ -1,0 +1,227 @@
+"""The report's tables: the paper's Table 5 beside ours, robustness, the runs, what their configurations differ in."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gctd3.comparison.equal_time import Limit, reached_by
+from gctd3.comparison.groups import differences
+from gctd3.comparison.runs import Run
+from gctd3.comparison.statistics import interval
+from gctd3.comparison.verdict import scores
+from gctd3.evaluation.robustness import DIRECTIONS, weakest
+from gctd3.robots.robot import Robot
+
+# Table 5: return and its standard deviation over 50 episodes, body position (m), velocity (m/s).
+PAPER = {
+    "ddpg": (241.28, 89.44, -0.0114, 1.344),
+    "sac": (224.18, 56.96, -0.0397, 0.619),
+    "td3": (370.31, 37.26, -0.0020, 1.164),
+    "gctd3": (380.0, 18.47, -0.0202, 1.414),
+}
+# Columns that a page does not treat as numbers.
+UNIT, MEANING, OUTCOME, DIRECTORY = "unit", "what it is", "outcome", "directory"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of texts under a head.
+
+    Attributes:
+        name: Of its file.
+        title: Above it.
+        note: Below it.
+        head: Names of the columns.
+        rows: Cells.
+    """
+
+    name: str
+    title: str
+    note: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def csv(self) -> str:
+        """As the text of a CSV file."""
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([self.head, *self.rows])
+        return text.getvalue()
+
+
+def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: bool) -> Table:
+    """Return, body position from both references, velocity and success, the paper's rows beside ours.
+
+    Args:
+        groups: The runs.
+        robot: Theirs; ``None`` of another library's task, whose body position then counts from nothing known.
+        is_biped: Whether it is the paper's robot.
+    """
+    drop = spawn_height(robot) if robot is not None else np.nan
+    rows = []
+    for group, runs in groups.items():
+        means = scores(runs, "return_mean")
+        body, speed, won = (scores(runs, key) for key in ("body_position_mean", "velocity_mean", "success_rate"))
+        rows.append(
+            [
+                group,
+                f"{len(means)} of {len(runs)}",
+                _spread(means, 1),
+                interval(means).text(1),
+                _mean(body, 4),
+                _mean([value - drop for value in body if np.isfinite(drop)], 4),
+                interval(speed).text(3),
+                _mean(won, 2),
+            ]
+        )
+        algorithm = runs[0].algorithm
+        if is_biped and algorithm in PAPER and not any(row[0] == f"paper, {algorithm.upper()}" for row in rows):
+            mean, deviation, position, velocity = PAPER[algorithm]
+            row = [f"paper, {algorithm.upper()}", "-", f"{mean} ± {deviation}", "-", "-", f"{position:.4f}"]
+            rows.append([*row, f"{velocity:.3f}", "-"])
+    return Table(
+        "table5",
+        "The paper's Table 5",
+        f"Ours: mean ± standard deviation over seeds, each the mean of its {_episodes(groups)}; IQM is the "
+        "interquartile mean over seeds with its 95 % interval. The paper's ± is over 50 episodes of one training, in "
+        "another simulator: not like for like. Its body position seems to count from the height at which the robot is "
+        "dropped" + (f", {drop:.4f} m above standing." if np.isfinite(drop) else "."),
+        (
+            "",
+            "seeds judged",
+            "return, mean ± sd",
+            "return, IQM",
+            "body from standing, m",
+            "body from spawn, m",
+            "velocity, m/s, IQM",
+            "success",
+        ),
+        rows,
+    )
+
+
+def _episodes(groups: Mapping[str, Sequence[Run]]) -> str:
+    """As ``50 episodes``; a report has as many for all runs."""
+    found = {run.evaluation.get("episodes") for runs in groups.values() for run in runs if run.evaluation}
+    return f"{found.pop()} episodes" if len(found) == 1 and None not in found else "episodes"
+
+
+def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
+    """Return, success, frames and updates that each group had reached at ``limit``."""
+    columns = (("return_mean", 1.0, 1), ("success_rate", 1.0, 2), ("frames", 1e-3, 1), ("updates", 1e-3, 1))
+    rows = []
+    for group, known in reached_by(groups, limit.seconds).items():
+        cells = [interval([scale * getattr(one, key) for one in known]) for key, scale, _ in columns]
+        said = [cell.text(column[-1]) if known else "-" for cell, column in zip(cells, columns, strict=True)]
+        seeds = f"{len(known)} of {len(groups[group])}"
+        rows.append([group, seeds, *said, _number(limit.medians[group] / 60.0, 2)])
+    return Table(
+        "equal_time",
+        "At equal wall-clock",
+        f"What each run had reached after {limit.text} of wall-clock: the median training time of {limit.group}, the "
+        "shortest of all groups' (of runs that came to their end). Return and success are those of the policy that "
+        "the run would have kept if it had been stopped then, which is the one that stop_when ranks first of those "
+        "evaluated until then. They are of evaluations in training, by which that policy was chosen: not of Table 5's "
+        "episodes, and rather too high. Frames and updates are interpolated between evaluations; a run that ended "
+        "sooner stays as it was. Interquartile means over seeds with 95 % intervals. Wall-clock depends on the machine "
+        "and on what else ran there.",
+        (
+            "",
+            "seeds evaluated",
+            "return, IQM",
+            "success, IQM",
+            "frames, thousands",
+            "updates, thousands",
+            "training, min, median",
+        ),
+        rows,
+    )
+
+
+def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
+    """Success under each condition, and the impulse survived at every phase of the stride.
+
+    Args:
+        groups: Results of :meth:`.Examination.results` by group.
+    """
+    conditions = dict.fromkeys(name for results in groups.values() for one in results for name in one["conditions"])
+    rows = []
+    for name in conditions:
+        found = [
+            [one["conditions"][name]["success_rate"] for one in results if name in one["conditions"]]
+            for results in groups.values()
+        ]
+        rows.append([f"success, {name}", "", *(mean_and_range(values, 2) for values in found)])
+    for direction in DIRECTIONS:
+        impulses = [[weakest(one, direction) for one in results] for results in groups.values()]
+        cells = [mean_and_range([value for value in values if np.isfinite(value)], 1) for values in impulses]
+        rows.append([f"shove {direction}, worst moment", "N s", *cells])
+    perturbations = next(iter(groups.values()))[0]["perturbations"]
+    return Table(
+        "robustness",
+        "Robustness",
+        "Mean over seeds (lowest to highest), each by itself, the policy as it was trained. A shove's number is the "
+        "largest impulse that is survived whenever in the stride it comes: the robot goes on for "
+        f"{perturbations['recover']:g} s, at all {perturbations['starts']} starts, and with every smaller impulse; "
+        f"{perturbations['impulses'][-1]:g} N s is the largest that was tried.",
+        ("", UNIT, *groups),
+        rows,
+    )
+
+
+def runs_table(groups: Mapping[str, Sequence[Run]]) -> Table:
+    """A row for each run: time, steps, and how it went."""
+    rows = []
+    for group, runs in groups.items():
+        for run in runs:
+            frames = f"{run.rows[-1]['frames']:,.0f}" if run.rows else "-"
+            state = "always finishes" if run.value("success_rate") >= 1.0 else "does not always finish"
+            state = f"failed: {run.failure}" if run.failure else state
+            cells = [_number(run.minutes, 1), _number(run.minutes_to_finish, 1), frames]
+            cells += [_number(run.value("return_mean"), 1), _number(run.value("success_rate"), 2)]
+            rows.append([group, str(run.seed), *cells, f"{run.trouble}; {state}" if run.trouble else state, run.name])
+    head = ("", "seed", "minutes", "to finish", "frames", "return", "success", OUTCOME, DIRECTORY)
+    note = "Minutes of wall-clock until the last evaluation, and until the first in which every episode finished."
+    return Table("runs", "Runs", note, head, rows)
+
+
+def settings_table(groups: Mapping[str, Sequence[Run]]) -> Table:
+    """Keys of the configuration in which groups differ."""
+    firsts = [runs[0] for runs in groups.values()]
+    rows = [[key, *map(str, values)] for key, values in differences(firsts).items()]
+    return Table("settings", "Where configurations differ", "The seed aside.", ("key", *groups), rows)
+
+
+def spawn_height(robot: Robot) -> float:
+    """How far above standing the robot is when an episode begins (m)."""
+    nothing = np.zeros(robot.model.nv)
+    spawn, standing = (robot.base.read(q, nothing)["height"][0] for q in (robot.start_qpos, robot.standing_qpos))
+    return float(spawn - standing)
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:,.{digits}f}" if np.isfinite(value) else "-"
+
+
+def _mean(values: Sequence[float], digits: int) -> str:
+    return f"{np.mean(values):.{digits}f}" if len(values) else "-"
+
+
+def _spread(values: Sequence[float], digits: int) -> str:
+    if not len(values):
+        return "-"
+    mean = f"{np.mean(values):.{digits}f}"
+    return f"{mean} ± {np.std(values, ddof=1):.{digits}f}" if len(values) > 1 else mean
+
+
+def mean_and_range(values: Sequence[float], digits: int) -> str:
+    """As ``0.50 (0.40 to 0.60)``; ``-`` if there are none."""
+    if not len(values):
+        return "-"
+    mean = f"{np.mean(values):,.{digits}f}"
+    return f"{mean} ({min(values):,.{digits}f} to {max(values):,.{digits}f})" if len(values) > 1 else mean

@@ -1,0 +1,1 @@
+"""Configuration: from YAML and a command line to typed settings."""

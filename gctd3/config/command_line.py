@@ -1,0 +1,213 @@
+"""From a command line to a function: Hydra underneath, and errors that fit on a line."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import re
+import sys
+import warnings
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+from typing import NoReturn
+
+import hydra
+from hydra import compose, initialize_config_module
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from gctd3.config.help import CONF, asks_for_help, check_installed, command_of, fail, help_of
+from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
+
+INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
+UNREAD = 141  # and of one whose output nobody reads
+_JOBLIB = ("hydra/launcher", "joblib")  # an option only where the plugin is installed
+_WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException)
+_USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError)
+
+
+def command(config: str, task: Callable[[DictConfig], object]) -> None:
+    """Run ``task`` on the configuration that the command line asks for; exit with 2 after a message if it is wrong.
+
+    Args:
+        config: Name of the root YAML in ``conf/``.
+        task: Gets the resolved configuration; what it returns is for a sweeper of Hydra's.
+    """
+    check_installed()
+    if asks_for_help():
+        print(help_of(command_of(config)))
+        return
+    sys.argv[1:] = map(_robot_file, _together(sys.argv[1:]))
+    # A launcher's plug-in has settings of the same name as ours in conf/, on purpose.
+    warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/", category=UserWarning)
+    # Hydra would print and exit; this way its errors come here, to be said in the library's words.
+    os.environ.setdefault("HYDRA_FULL_ERROR", "1")
+    try:
+        hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
+    except KeyboardInterrupt:
+        print("\nInterrupted.", file=sys.stderr)
+        raise SystemExit(INTERRUPTED) from None
+    except BrokenPipeError:
+        _unread()
+    except _USER_ERRORS as error:
+        fail(explain(error, config))
+    except (AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+        # Hydra's own, of a group given a value that is no option; what the task raises is not for here.
+        if GlobalHydra.instance().is_initialized():
+            raise
+        fail(f"The arguments cannot be combined: {error or type(error).__name__}")
+    except RuntimeError as error:
+        plugin = re.search(r"Unknown plugin class : 'hydra_plugins\.hydra_(\w+)_launcher", str(error))
+        if plugin is None:
+            raise
+        fail(f"hydra/launcher={plugin[1]} needs its package: pip install 'gctd3[{plugin[1]}]'.")
+
+
+def _together(arguments: list[str]) -> list[str]:
+    """``arguments`` with those of the form key=value first: Hydra refuses them on both sides of an option."""
+
+    def assigns(argument: str) -> bool:
+        return not argument.startswith("-") and ("=" in argument or argument.startswith("~"))
+
+    return sorted(arguments, key=lambda argument: not assigns(argument))
+
+
+def _robot_file(argument: str) -> str:
+    """``robot=my.xml`` as Hydra wants it said: the name of the group's default robot replaced by the file."""
+    key, _, value = argument.partition("=")
+    files = value.split(",")
+    if key != "robot" or not all(file.endswith(".xml") for file in files):
+        return argument
+    # Quoted, so that a path may hold what Hydra's grammar would read as its own.
+    return "robot.name=" + ",".join("'" + file.replace("'", "\\'") + "'" for file in files)
+
+
+def _subject(robot: object, env: str) -> str:
+    """The robot that walks, whether it ships with gctd3 or is a file; or the library's task."""
+    return Path(str(robot)).stem if env == "walk" else env
+
+
+# What a run is about, in its path; here, so that processes of a sweep know it too.
+OmegaConf.register_new_resolver("subject", _subject, replace=True)
+
+
+def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[DictConfig], object]:
+    """``task``, with its errors said here: Hydra would announce them with a line of its own."""
+
+    @functools.wraps(task)
+    def guarded(settings: DictConfig) -> object:
+        try:
+            return task(settings)
+        except BrokenPipeError:
+            _unread()
+        except _USER_ERRORS as error:
+            _refuse(error, config)
+        except RuntimeError as error:
+            # PyTorch's way to say that memory is short.
+            if "alloc" not in str(error) and "out of memory" not in str(error):
+                raise
+            _refuse(MemoryError(str(error).splitlines()[0]), config)
+
+    return guarded
+
+
+def _refuse(error: Exception, config: str) -> NoReturn:
+    """Say what is wrong, and end the process; of a sweep only the run, unless its settings are wrong."""
+    hydra_config = HydraConfig.get()
+    directory = Path(hydra_config.runtime.output_dir)
+    _remove_empty(directory)
+    said, sweeping = explain(error, config), hydra_config.mode is RunMode.MULTIRUN
+    if sweeping and not isinstance(error, _WRONG_SETTINGS):
+        # The sweep itself fails at its end.
+        print(f"error: {directory}: {said}", file=sys.stderr, flush=True)
+        raise RunError(f"{directory} failed, as was said when it did; the other runs went on.") from None
+    if sweeping and not str(hydra_config.launcher.get("_target_")).startswith("hydra._internal"):
+        raise RunError(said) from None  # for the process that started the sweep to say
+    fail(said)
+
+
+def _unread() -> NoReturn:
+    """End the program without a word: whoever read its output (``| head``) has had enough."""
+    # Python writes what it still holds when it ends, and would complain.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    raise SystemExit(UNREAD)
+
+
+def _remove_empty(directory: Path) -> None:
+    """Take back the directory that Hydra makes for every run, and those above it here, as far as nothing is in them."""
+    while directory != Path.cwd() and directory.is_dir() and not any(directory.iterdir()):
+        directory.rmdir()
+        directory = directory.parent
+        if Path.cwd() not in directory.parents:
+            return
+
+
+def explain(error: Exception, config: str) -> str:
+    """What an error says, in a line or two; for an unknown key with the nearest known one."""
+    if isinstance(error, GCTD3Error):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return f"Not enough memory ({error}): lower replay.capacity, env.num_envs or the number of episodes."
+    # Hydra's counts as an OSError.
+    if isinstance(error, MissingConfigException) and error.options:
+        group, _, option = str(error.missing_cfg_file).rpartition("/")
+        nearest, options = suggest(option, error.options), ", ".join(error.options)
+        needed = " It needs its package: pip install 'gctd3[sweep]'." if (group, option) == _JOBLIB else ""
+        return f"Could not find '{group}/{option}'.{needed or nearest} Options of {group}: {options}."
+    if isinstance(error, OSError):
+        return f"{error.strerror}: {error.filename}" if error.filename else str(error)
+    if isinstance(error, OverrideParseException):
+        return f"Cannot read {error.override!r}: {str(error).splitlines()[0]}. Expected key=value."
+    causes = [str(error), *([str(error.__cause__)] if error.__cause__ else [])]
+    text = "\n".join(line for line in "\n".join(causes).splitlines() if line.strip())
+    unknown = re.search(r"full_key: (\S+)", text) if "is not in struct" in text else None
+    if unknown is None:
+        return text
+    key = unknown.group(1)
+    parent = key.rpartition(".")[0]
+    keys = _known_keys(config, sys.argv[1:])
+    siblings = [k for k in keys if k.rpartition(".")[0] == parent]
+    accepted = f" Accepted: {', '.join(siblings)}." if siblings else ""
+    return f"Unknown key {key!r}.{suggest(key, keys)}{accepted}"
+
+
+def chooses(argument: str) -> str | None:
+    """The group of which an argument chooses an option, if it is about one; other arguments add no keys."""
+    group = re.split("[=@]", argument.lstrip("+~"), maxsplit=1)[0]
+    return group if group.isidentifier() and resources.files(CONF).joinpath(group).is_dir() else None
+
+
+def ships(argument: str) -> bool:
+    """Whether the option that an argument chooses of a group comes with gctd3."""
+    group, option = chooses(argument), argument.partition("=")[2]
+    return group is not None and resources.files(CONF).joinpath(group, f"{option}.yaml").is_file()
+
+
+def _known_keys(config: str, arguments: list[str]) -> list[str]:
+    """Every key of the configuration, under those of the arguments that choose an option and are sound."""
+    GlobalHydra.instance().clear()
+    with initialize_config_module(CONF, version_base="1.3"):
+        composed = compose(config)
+        sound: list[str] = []
+        for argument in filter(chooses, arguments):  # to compose takes long
+            with contextlib.suppress(*_USER_ERRORS):
+                composed = compose(config, [*sound, argument])
+                sound.append(argument)
+
+    def walk(node: DictConfig, prefix: str) -> list[str]:
+        found = []
+        for key in map(str, node):
+            value = OmegaConf.select(node, key, throw_on_missing=False)
+            if key != "_target_":
+                found.append(f"{prefix}{key}")
+            if isinstance(value, DictConfig):
+                found += walk(value, f"{prefix}{key}.")
+        return found
+
+    return walk(composed, "")

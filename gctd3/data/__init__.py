@@ -1,0 +1,1 @@
+"""Data: collectors and their workers, exploration, replay."""

@@ -1,0 +1,266 @@
+"""How the robots try things out: a rhythmic warm-up, then the policy with noise that differs from robot to robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from gctd3.errors import ConfigError
+from gctd3.robots.robot import Robot
+
+
+@dataclass(frozen=True)
+class ExplorationSettings:
+    """Warm-up and noise.
+
+    Attributes:
+        warmup: ``rhythmic``: see :class:`Rhythm`; ``uniform``: uniform actions, each held for a while.
+        warmup_frames: Frames (all robots together) before the policy acts.
+        hold: Control steps for which ``uniform`` holds an action.
+        frequency: Lowest and highest frequency of ``rhythmic`` (Hz).
+        heirs: Share of ``rhythmic``'s gaits that descend from those that got farthest before; the rest are drawn anew.
+        noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions, spread
+            geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for a policy that
+            is random by itself.
+        noise_time: Correlation time (s) of the noise of every second robot, an Ornstein-Uhlenbeck process (Lillicrap et
+            al. 2016, arXiv:1509.02971) of the same standard deviation; 0 for white noise as on the others.
+    """
+
+    warmup: Literal["rhythmic", "uniform"] = "rhythmic"
+    warmup_frames: int = 10_000
+    hold: int = 5
+    frequency: Sequence[float] = (1.2, 2.4)
+    heirs: float = 0.0
+    noise: Sequence[float] | None = (0.05, 0.5)
+    noise_time: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.warmup_frames < 0:
+            raise ConfigError(f"warmup_frames must be at least 0, got {self.warmup_frames}.")
+        if self.hold < 1:
+            raise ConfigError(f"hold must be at least 1, got {self.hold}.")
+        if len(self.frequency) != 2 or not 0 < self.frequency[0] <= self.frequency[1]:
+            raise ConfigError(f"frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
+        if not 0.0 <= self.heirs <= 1.0:
+            raise ConfigError(f"heirs must be between 0 and 1, got {self.heirs}.")
+        # Actions are clipped to [-1, 1]: noise beyond that is no longer noise on an action.
+        if self.noise is not None and (len(self.noise) != 2 or not 0 < self.noise[0] <= self.noise[1] <= 10):
+            raise ConfigError(f"noise must be [smallest, largest] > 0 and <= 10, or null, got {list(self.noise)}.")
+        if self.noise_time < 0:
+            raise ConfigError(f"noise_time must be at least 0 s, got {self.noise_time}.")
+
+
+class Rhythm(torch.nn.Module):
+    """Open-loop gaits: every joint follows a sine, and a joint's mirror image follows it half a period later.
+
+    Each episode draws a frequency, and for each pair of joints an offset, an amplitude and a phase. It knows nothing of
+    walking but that legs take turns; most draws fall, a few step forward, and those are what the critic starts from.
+    A joint without a mirror image follows its own sine.
+
+    With ``heirs`` the gaits evolve: every robot remembers its gait that got farthest, and that share of new gaits are
+    mutations of what a few robots remember, of the farthest among them. So a robot that has to balance, which hardly
+    any draw does, is soon shown gaits that do.
+
+    Args:
+        robot: The robot.
+        num_robots: Robots.
+        frequency: Lowest and highest frequency (Hz).
+        control_dt: Control period (s).
+        heirs: Share of new gaits that descend from others.
+    """
+
+    leader: Tensor
+    lag: Tensor
+    sign: Tensor
+    offset: Tensor
+    amplitude: Tensor
+    phase: Tensor
+    cycles: Tensor
+    frequency: Tensor
+    farthest: Tensor
+
+    OFFSET = 0.5  # largest, of a joint's half range
+    AMPLITUDE = (0.1, 1.0)  # smallest and largest, of a joint's half range
+    NOISE = 0.1  # standard deviation of what is added to the sines
+    RIVALS = 4  # robots of whom the one that got farthest is a parent
+    # Standard deviations of what is added to a parent's numbers: of a joint's half range, of a period, in Hz.
+    MUTATION: Mapping[str, float] = {"offset": 0.1, "amplitude": 0.1, "phase": 0.04, "frequency": 0.1}
+
+    def __init__(
+        self, robot: Robot, num_robots: int, frequency: Sequence[float], control_dt: float, heirs: float = 0.0
+    ) -> None:
+        super().__init__()
+        partner = torch.from_numpy(robot.action_mirror[0])
+        own = torch.arange(len(partner))
+        # Of each pair the joint that the robot lists first leads, the other lags by half a period.
+        self.register_buffer("leader", torch.minimum(own, partner))
+        self.register_buffer("lag", 0.5 * (own > partner))
+        self.register_buffer("sign", torch.where(own > partner, torch.from_numpy(robot.action_mirror[1]), 1.0).float())
+        for name in ("offset", "amplitude", "phase"):
+            self.register_buffer(name, torch.zeros(num_robots, len(partner)))
+        self.register_buffer("cycles", torch.zeros(num_robots))
+        self.register_buffer("frequency", torch.zeros(num_robots))
+        self._range, self._dt, self._heirs = tuple(frequency), control_dt, heirs
+        if heirs:
+            self.register_buffer("farthest", torch.full((num_robots,), -math.inf))
+            for name in self.MUTATION:
+                self.register_buffer(f"best_{name}", torch.zeros_like(getattr(self, name)))
+
+    def draw(self, mask: Tensor) -> None:
+        """Draw new gaits for the robots where ``mask`` (bool ``[robots]``) holds."""
+        shape = self.phase.shape
+        pair = (slice(None), self.leader)
+        new = {
+            "offset": (2 * torch.rand(shape) - 1)[pair] * self.OFFSET,
+            "amplitude": self.AMPLITUDE[0] + (self.AMPLITUDE[1] - self.AMPLITUDE[0]) * torch.rand(shape)[pair],
+            "phase": torch.rand(shape)[pair] + self.lag,
+            "cycles": torch.zeros(shape[0]),
+            "frequency": self._range[0] + (self._range[1] - self._range[0]) * torch.rand(shape[0]),
+        }
+        for name, values in new.items():
+            self._put(name, mask, values)
+        if self._heirs:
+            self._mutate(mask & (torch.rand(len(mask)) < self._heirs))
+
+    def _mutate(self, mask: Tensor) -> None:
+        rivals = torch.randint(len(mask), (len(mask), self.RIVALS))
+        parent = rivals.gather(1, self.farthest[rivals].argmax(dim=1, keepdim=True))[:, 0]
+        mask = mask & self.farthest[parent].isfinite()
+        limits = {"offset": (-1.0, 1.0), "amplitude": self.AMPLITUDE, "frequency": self._range}
+        for name, size in self.MUTATION.items():
+            values = getattr(self, f"best_{name}")[parent]
+            change = size * torch.randn_like(values)
+            values = values + (change if name == "frequency" else change[:, self.leader])
+            self._put(name, mask, values.clamp(*limits[name]) if name in limits else values)
+
+    def _put(self, name: str, mask: Tensor, values: Tensor) -> None:
+        old = getattr(self, name)
+        old.copy_(torch.where(mask.reshape(-1, *[1] * (old.ndim - 1)), values, old))
+
+    def remember(self, position: Tensor) -> None:
+        """Note how far the robots have got, ``[robots]`` (m), with the gaits that they have."""
+        farther = position > self.farthest
+        self._put("farthest", farther, position)
+        for name in self.MUTATION:
+            self._put(f"best_{name}", farther, getattr(self, name))
+
+    def forward(self, is_init: Tensor, position: Tensor | None = None) -> Tensor:
+        """Actions ``[robots, A]`` of the next step; robots whose episode begins get a new gait first.
+
+        Args:
+            is_init: Whose episode begins, bool ``[robots]``.
+            position: Distance walked, ``[robots]`` (m); only heirs need it.
+        """
+        if self._heirs and position is not None:
+            self.remember(torch.where(is_init, -math.inf, position))
+        if is_init.any():
+            self.draw(is_init)
+        self.cycles += self._dt * self.frequency
+        wave = torch.sin(2 * math.pi * (self.cycles[:, None] + self.phase))
+        action = self.sign * (self.offset + self.amplitude * wave)
+        return (action + self.NOISE * torch.randn_like(action)).clamp(-1.0, 1.0)
+
+
+class Explorer(TensorDictModuleBase):
+    """The policy that collects: warm-up first, then the actor with noise.
+
+    Reads what the actor reads and ``"is_init"``, and ``"position"`` if gaits have heirs; writes ``"action"``
+    ``[robots, A]``.
+
+    Args:
+        actor: The policy under training.
+        robot: The robot.
+        num_robots: Robots, over all of which the noise is spread.
+        settings: Warm-up and noise.
+        control_dt: Control period (s).
+        part: Which of them this one moves, all by default; others move the rest at the same pace.
+
+    Attributes:
+        frames: Control steps of all robots so far.
+    """
+
+    frames: Tensor
+    sigma: Tensor
+    held: Tensor
+    memory: Tensor
+    wander: Tensor
+
+    def __init__(
+        self,
+        actor: TensorDictModuleBase,
+        robot: Robot,
+        num_robots: int,
+        settings: ExplorationSettings,
+        control_dt: float = 0.02,
+        part: slice = slice(None),
+    ) -> None:
+        super().__init__()
+        self.num_robots = num_robots
+        robots = len(range(num_robots)[part])
+        self.in_keys = [*actor.in_keys, "is_init", *(["position"] if settings.heirs else [])]
+        self.out_keys = ["action"]
+        self.actor = actor
+        self.settings = settings
+        # Only a robot whose joints have mirror images, and only when asked for.
+        rhythmic = settings.warmup == "rhythmic"
+        if rhythmic and len(robot.actuated) != robot.model.nu:
+            raise ConfigError(
+                f"exploration.warmup must be uniform, got rhythmic: {robot.model.nu - len(robot.actuated)} of the "
+                f"{robot.model.nu} actions move no joint, and only joints have a mirror image."
+            )
+        self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, settings.heirs) if rhythmic else None
+        self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
+        self.register_buffer("held", torch.zeros(robots, robot.model.nu))
+        low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
+        spread = torch.logspace(math.log10(low), math.log10(high), num_robots)
+        self.register_buffer("sigma", spread[part, None])
+        memory = torch.zeros(num_robots, 1)
+        if settings.noise_time > 0:
+            memory[1::2] = math.exp(-control_dt / settings.noise_time)
+        self.register_buffer("memory", memory[part])
+        self.register_buffer("wander", torch.zeros(robots, robot.model.nu))
+
+    @property
+    def warming_up(self) -> bool:
+        """Whether the policy has not acted yet."""
+        return int(self.frames) < self.settings.warmup_frames
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the next action of every robot."""
+        if self.warming_up:
+            tensordict.set("action", self._warmup(tensordict))
+        else:
+            # Robots are on the CPU; the actor may be elsewhere.
+            device = next(self.actor.parameters()).device
+            seen = tensordict.select(*self.actor.in_keys).to(device)
+            # TorchRL takes a distribution's mode unless told to draw from it.
+            with set_exploration_type(ExplorationType.RANDOM):
+                tensordict.set("action", self.actor(seen).get("action").to("cpu"))
+            if self.settings.noise is not None:
+                action = tensordict.get("action")
+                noise = self.sigma * self._noise(tensordict.get("is_init").reshape(-1, 1))
+                tensordict.set("action", (action + noise).clamp(-1.0, 1.0))
+        self.frames += self.num_robots
+        return tensordict
+
+    def _noise(self, is_init: Tensor) -> Tensor:
+        """Of unit variance; what is remembered of the last step's ends with the episode."""
+        memory = self.memory * ~is_init
+        self.wander = memory * self.wander + (1 - memory**2).sqrt() * torch.randn_like(self.wander)
+        return self.wander
+
+    def _warmup(self, tensordict: TensorDictBase) -> Tensor:
+        if self.rhythm is not None:
+            position = tensordict.get("position").reshape(-1) if self.settings.heirs else None
+            return self.rhythm(tensordict.get("is_init").reshape(-1), position)
+        if (int(self.frames) // self.num_robots) % self.settings.hold == 0:
+            self.held.uniform_(-1.0, 1.0)
+        return self.held.clone()

@@ -1,0 +1,67 @@
+"""Collecting beside learning in one process, with a state that can be saved.
+
+As :class:`torchrl.collectors.Collector` with ``reset_at_each_iter=False``, which does not give out the state that it
+holds between two batches; without it a run cannot be continued exactly.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import EnvBase
+
+from gctd3.data.finite import check_finite
+from gctd3.envs.checkpointing import env_state, load_env_state
+
+
+class InlineCollector:
+    """Steps an environment with a policy, a few steps at a time.
+
+    Args:
+        env: Of batch size ``[N]``; it resets its robots one by one.
+        policy: Writes ``"action"``.
+        steps: ``T``, control steps in a batch.
+    """
+
+    def __init__(self, env: EnvBase, policy: TensorDictModuleBase, steps: int) -> None:
+        self.env, self.policy, self.steps = env, policy, steps
+        self._state: TensorDictBase = env.reset()
+        self.latest: TensorDictBase = self._state  # what it was at work on, should that fail
+
+    def collect(self) -> TensorDictBase:
+        """The next steps, batch size ``[N, T]``.
+
+        Raises:
+            NumericalError: If what the policy sees or its action is not finite.
+        """
+        taken = []
+        with torch.no_grad():
+            for _ in range(self.steps):
+                self.latest = self._state
+                check_finite("nodes", self._state.get("nodes"))
+                acting = self.latest = self.policy(self._state)
+                check_finite("action", acting.get("action"))
+                step, self._state = self.env.step_and_maybe_reset(acting)
+                taken.append(step)
+        # A copy saved where there is nothing to stack.
+        return taken[0].unsqueeze(-1) if self.steps == 1 else torch.stack(taken, dim=-1)
+
+    def follow(self, policy: TensorDictModuleBase) -> None:
+        """Go on with another policy, from where the robots are."""
+        self.policy = policy
+
+    def close(self) -> None:
+        """End the environment."""
+        self.env.close(raise_if_closed=False)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where the robots are and what the policy is about to see."""
+        return {"state": self._state.to_dict(), "env": env_state(self.env)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`state_dict`."""
+        self._state = TensorDict(state["state"], self.env.batch_size)
+        load_env_state(self.env, state["env"])

@@ -1,0 +1,88 @@
+"""A worker in a process of its own on this machine: TorchRL's multi-process collector, weights in shared memory."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import signal
+from collections.abc import Iterator
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.collectors import MultiSyncCollector
+from torchrl.weight_update import SharedMemWeightSyncScheme
+
+from gctd3.data.worker import Job, Worker
+from gctd3.signals import SIGNALS
+
+
+class _Scheme(SharedMemWeightSyncScheme):
+    """TorchRL's, but it does not wait for ever for a worker that is dead."""
+
+    def _wait_for_ack(self, worker_ids: int | list[int] | None = None, timeout: float | None = None) -> None:
+        (answers,) = self._ack_queues.values()
+        while self.context.procs[0].is_alive():
+            with contextlib.suppress(queue.Empty):
+                answers.get(timeout=0.2)
+                return
+
+
+@contextlib.contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Processes begun meanwhile never hear Ctrl-C and SIGTERM, which go to all of a group.
+
+    The learner tells its workers when to end. What this thread does not hear, another one of the process does.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class ProcessWorker(Worker):
+    """One process; made once it is ready."""
+
+    def __init__(self, job: Job) -> None:
+        with _deaf_children():
+            self._collector = MultiSyncCollector(
+                [job.make_env],
+                job.policy,
+                frames_per_batch=job.frames,
+                total_frames=-1,
+                device="cpu",
+                cat_results=0,
+                use_buffers=True,
+                trust_policy=True,
+                auto_register_policy_transforms=False,
+                # It sets the learner's threads too.
+                num_threads=torch.get_num_threads(),
+                num_sub_threads=job.cpus,
+                weight_sync_schemes={"policy": _Scheme()},
+            )
+        self._batches = iter(self._collector)
+
+    @property
+    def pid(self) -> int:
+        """Of its process."""
+        return int(self._collector.procs[0].pid)
+
+    def next(self, weights: TensorDictBase) -> TensorDictBase:
+        """Its next batch, ``[robots, steps]``, collected with these weights."""
+        self._collector.update_policy_weights_(weights)
+        batch = next(self._batches).exclude("collector")
+        batch.names = None
+        return batch
+
+    def kill(self) -> None:
+        """End it at once."""
+        for process in self._collector.procs:
+            with contextlib.suppress(ValueError):  # it is closed
+                process.kill()
+        self.close()
+
+    def close(self) -> None:
+        """Let it end."""
+        threads = torch.get_num_threads()
+        self._collector.shutdown(timeout=10.0, raise_on_error=False)
+        torch.set_num_threads(threads)  # it gives the learner those of its worker

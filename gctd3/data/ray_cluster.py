@@ -1,0 +1,171 @@
+"""A Ray cluster to collect on: joined or started, and found fit, before a training begins."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import contextlib
+import os
+import re
+import socket
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from typing import Any
+
+from gctd3.data.background import in_thread
+from gctd3.data.collector_settings import ProcessSettings
+from gctd3.errors import ConfigError, WorkerError
+
+ANSWER = 5.0  # s, that a head node may take to accept a connection
+JOIN = 30.0  # s, that joining a cluster may take
+PROBE = 60.0  # s, that the nodes may take to say what is installed on them
+# What learner and workers must have alike: they exchange pickled settings, networks and steps.
+ALIKE = ("gctd3", "torch", "torchrl", "tensordict", "mujoco")
+
+
+@dataclass(frozen=True)
+class RaySettings(ProcessSettings):
+    """Workers on a Ray cluster.
+
+    Attributes:
+        address: ``host:port`` of the cluster's head node, or ``auto`` for the cluster that runs on this machine;
+            ``None`` starts one on this machine that ends with the training.
+    """
+
+    address: str | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.address not in (None, "auto") and not re.fullmatch(r"[^\s:/]+:\d{1,5}", self.address or ""):
+            raise ConfigError(f"address must be host:port, auto or null, got {self.address!r}.")
+
+    def check_here(self, num_envs: int) -> None:
+        """Join the cluster, or start it, and check that it can do the work.
+
+        Raises:
+            ConfigError: If Ray is not installed, nothing answers at the address, or the CPUs do not suffice.
+            WorkerError: If the nodes have other versions of what matters than this machine.
+        """
+        super().check_here(num_envs)
+        if find_spec("ray") is None:
+            raise ConfigError("collector=ray needs its package: pip install 'gctd3[ray]'.")
+        self._connect()
+        nodes = _nodes()
+        check_room(self.workers, self.cpus, {name: int(node["Resources"]["CPU"]) for name, node in nodes.items()})
+        check_alike(installed(), _on_nodes(nodes))
+
+    def _connect(self) -> None:
+        # Before the import, where Ray reads it; by default it reports that it is used.
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        import ray
+
+        if ray.is_initialized():
+            return
+        if self.address is not None and self.address != "auto":
+            _check_answers(self.address)
+        # In a thread: Ray tries for minutes to talk to what is no cluster, and in the main one would take over SIGTERM.
+        # The thread stays, for a cluster that is started here ends with it.
+        joined = in_thread(
+            lambda: ray.init(
+                address=self.address or "local",
+                include_dashboard=False if self.address is None else None,
+                logging_level="error",
+                log_to_driver=False,
+            ),
+            stays=True,
+        )
+        try:
+            joined.result(None if self.address is None else JOIN)
+        except concurrent.futures.TimeoutError as error:
+            raise ConfigError(
+                f"collector.address={self.address}: what listens there has not answered as a Ray cluster in {JOIN:g} s."
+            ) from error
+        except Exception as error:  # Ray raises bare ones too
+            said = " ".join(line.strip() for line in str(error).splitlines()[:4]) or type(error).__name__
+            if self.address is None:
+                raise WorkerError(f"No Ray cluster could be started on this machine: {said}") from error
+            raise ConfigError(
+                f"collector.address={self.address}: cannot join a Ray cluster there: {said}. "
+                "If it asks for a token, this machine needs the same one (RAY_AUTH_TOKEN)."
+            ) from error
+
+
+def _check_answers(address: str) -> None:
+    """Raise a :class:`.ConfigError` unless something listens at ``host:port``; Ray itself would try for long."""
+    host, _, port = address.rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), timeout=ANSWER).close()
+    except (OSError, OverflowError) as error:
+        raise ConfigError(
+            f"collector.address={address}: nothing answers there ({error}). It is what `ray start --head` printed, "
+            "port 6379 by default; null starts a cluster on this machine."
+        ) from error
+
+
+def check_room(workers: int, cpus: int, nodes: Mapping[str, int]) -> None:
+    """Raise a :class:`.ConfigError` if ``nodes`` (their CPUs by name) do not hold so many workers."""
+    room = sum(there // cpus for there in nodes.values())
+    if room < workers:
+        listed = ", ".join(f"{name}: {there}" for name, there in sorted(nodes.items()))
+        raise ConfigError(
+            f"collector.workers={workers} with collector.cpus={cpus} need {workers * cpus} CPUs, but the cluster has "
+            f"room for {room} ({listed}): lower them, or add nodes with `ray start --address=...`."
+        )
+
+
+def installed() -> dict[str, str]:
+    """Versions of what learner and workers must have alike."""
+    found = {}
+    for package in ALIKE:
+        with contextlib.suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found
+
+
+def _nodes() -> dict[str, dict[str, Any]]:
+    """The cluster's nodes that have CPUs, by host and number."""
+    import ray
+
+    return {
+        f"{node['NodeManagerHostname']}/{node['NodeID'][:6]}": node
+        for node in ray.nodes()
+        if node["Alive"] and node["Resources"].get("CPU", 0)
+    }
+
+
+def _on_nodes(nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
+    """What is installed on every node, by its name."""
+    import ray
+    from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+    def probe(packages: Sequence[str]) -> dict[str, str]:  # sent by value: gctd3 may be what is missing there
+        import contextlib
+        from importlib.metadata import PackageNotFoundError, version
+
+        found = {}
+        for package in packages:
+            with contextlib.suppress(PackageNotFoundError):
+                found[package] = version(package)
+        return found
+
+    asked = {}
+    for name, node in nodes.items():
+        where = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
+        asked[name] = ray.remote(num_cpus=0, max_retries=0, scheduling_strategy=where)(probe).remote(ALIKE)
+    try:
+        return {name: ray.get(answer, timeout=PROBE) for name, answer in asked.items()}
+    except ray.exceptions.RayError as error:
+        raise WorkerError(f"The nodes of the Ray cluster do not answer: {str(error).splitlines()[0]}") from error
+
+
+def check_alike(here: Mapping[str, str], nodes: Mapping[str, Mapping[str, str]]) -> None:
+    """Raise a :class:`.WorkerError` if a node has other versions than ``here``."""
+    wrong = [
+        f"{package} {there.get(package, 'none')} on {name}, {mine} here"
+        for name, there in sorted(nodes.items())
+        for package, mine in here.items()
+        if there.get(package, "none") != mine
+    ]
+    if wrong:
+        raise WorkerError(f"The nodes of the Ray cluster must have the versions of this machine: {'; '.join(wrong)}.")

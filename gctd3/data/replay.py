@@ -1,0 +1,171 @@
+"""Replay: n-step transitions, mirrored copies on the way out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.envs.transforms import MultiStepTransform
+
+from gctd3.data.frame_buffer import FrameBuffer
+from gctd3.data.mirror_augmentation import MirrorAugmentation
+from gctd3.errors import ConfigError, check_between
+
+KEPT = ("nodes", "counters", "action", ("next", "nodes"), ("next", "counters"), ("next", "reward"))
+ENDS = (("next", "done"), ("next", "terminated"), ("next", "truncated"))
+
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """What is remembered and how it is drawn.
+
+    Attributes:
+        capacity: Transitions kept; the oldest leave first.
+        batch_size: Transitions drawn for an update.
+        n_step: Rewards summed before the bootstrap (Sutton 1988).
+        mirror: Whether half of every batch is reflected in the robot's sagittal plane.
+        storage: ``frames`` stores every frame once and stacks at sampling, as :class:`.FrameBuffer` does;
+            ``stacked`` stores the stacks as they came, in TorchRL's buffer, at six times the memory.
+    """
+
+    capacity: int = 1_000_000
+    batch_size: int = 256
+    n_step: int = 1
+    mirror: bool = False
+    storage: Literal["frames", "stacked"] = "frames"
+
+    def __post_init__(self) -> None:
+        check_between(self, 1, 10**12, "capacity")
+        check_between(self, 1, 10**6, "batch_size")
+        check_between(self, 1, 1000, "n_step")
+        if self.batch_size > self.capacity:
+            raise ConfigError(f"batch_size must be at most capacity, got {self.batch_size} and {self.capacity}.")
+
+
+class Replay:
+    """Takes what a collector delivers, gives batches for updates.
+
+    Args:
+        settings: Sizes and options.
+        gamma: Discount of the n-step sums.
+        history: Frames in an observation.
+        mirror: The reflection, if ``settings.mirror``.
+        device: Where transitions are kept and batches made.
+    """
+
+    def __init__(
+        self,
+        settings: ReplaySettings,
+        gamma: float,
+        history: int = 5,
+        mirror: MirrorAugmentation | None = None,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.settings, self.mirror = settings, mirror if mirror is None else mirror.to(device)
+        self.buffer: FrameBuffer | StackedBuffer
+        if settings.storage == "frames":
+            self.buffer = FrameBuffer(settings.capacity, settings.batch_size, history, settings.n_step, gamma, device)
+        else:
+            self.buffer = StackedBuffer(settings.capacity, settings.batch_size, settings.n_step, gamma, device)
+
+    def __len__(self) -> int:
+        return len(self.buffer)
+
+    @property
+    def ready(self) -> bool:
+        """Whether a batch's worth of transitions can be drawn."""
+        return self.buffer.ready * max(1, self.buffer.robots) >= self.settings.batch_size
+
+    def extend(self, collected: TensorDictBase) -> None:
+        """Remember ``collected``, batch size ``[robots, time]``."""
+        self.buffer.extend(collected)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.buffer.clear()
+
+    def load_state_dict(self, state: dict[str, Any], rows: Iterable[tuple[int, dict[str, Tensor]]]) -> None:
+        """Restore what the buffer's ``state_dict`` gave, and of a :class:`.FrameBuffer` the rows that were kept."""
+        if isinstance(self.buffer, FrameBuffer):
+            self.buffer.load_state_dict(state, rows)
+        else:
+            self.buffer.load_state_dict(state)
+
+    def sample(self) -> TensorDictBase:
+        """A batch of ``settings.batch_size`` transitions."""
+        batch = self.buffer.sample()
+        return batch if self.mirror is None else self.mirror(batch)
+
+
+class StackedBuffer:
+    """TorchRL's replay buffer, with the stacks stored as they came: simple, and six times the memory of frames.
+
+    Args:
+        capacity: Transitions kept.
+        batch_size: Transitions drawn at once.
+        n_step: Rewards summed before the bootstrap.
+        gamma: Their discount.
+        device: Where they are kept.
+    """
+
+    robots = 1
+
+    def __init__(
+        self, capacity: int, batch_size: int, n_step: int, gamma: float, device: torch.device | str = "cpu"
+    ) -> None:
+        storage = LazyTensorStorage(capacity, device=torch.device(device))
+        self.torchrl = TensorDictReplayBuffer(storage=storage, batch_size=batch_size)
+        # By default the transform leaves the ends of a window's first step in place; the update must see its last.
+        self._steps = MultiStepTransform(n_step, gamma, done_keys=[]) if n_step > 1 else None
+
+    def __len__(self) -> int:
+        return len(self.torchrl)
+
+    @property
+    def ready(self) -> int:
+        """Transitions that can be drawn."""
+        return len(self.torchrl)
+
+    def extend(self, collected: TensorDictBase) -> None:
+        """Append ``collected``, batch size ``[robots, time]``."""
+        steps = collected.select(*KEPT, *ENDS)
+        if self._steps is not None:
+            steps = self._steps.inv(steps)
+            if steps is None:
+                return
+            steps = steps.select(*KEPT, *ENDS, "steps_to_next_obs")
+        self.torchrl.extend(steps.reshape(-1))
+
+    def sample(self) -> TensorDictBase:
+        """A batch drawn uniformly."""
+        return self.torchrl.sample()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.torchrl.empty()
+        if self._steps is not None:
+            self._steps._buffer = None
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that is stored."""
+        waiting = self._steps._buffer if self._steps is not None else None
+        return {
+            "stored": self.torchrl[:].to_dict() if len(self) else None,
+            "writer": dict(self.torchrl.writer.state_dict()),
+            "waiting": None if waiting is None else waiting.to_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`state_dict`."""
+        self.torchrl.empty()
+        if state["stored"] is not None:
+            stored = TensorDict(state["stored"])
+            self.torchrl.extend(stored.auto_batch_size_(1))
+        self.torchrl.writer.load_state_dict(state["writer"])
+        if self._steps is not None and state["waiting"] is not None:
+            self._steps._buffer = TensorDict(state["waiting"]).auto_batch_size_(2)

@@ -1,0 +1,8 @@
+"""Deploy: an exported policy on a robot, its contract, and the export.
+
+Light: to run a policy needs NumPy and onnxruntime only.
+"""
+
+from gctd3.deploy.policy import Policy
+
+__all__ = ["Policy"]

@@ -1,0 +1,254 @@
+"""Export a policy to run elsewhere: ``python -m gctd3.export run=DIR out=policy.onnx``."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import logging
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from gctd3.deploy.contract import ROBOT, ROBOT_HASH, RobotIdentity
+from gctd3.deploy.policy import open_session
+from gctd3.deploy.robot_contract import describe
+from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.envs.library import LibrarySettings
+from gctd3.errors import ConfigError, NumericalError, RunError, check_between, check_seed
+from gctd3.evaluation.rollout import evaluate
+from gctd3.files import write_bytes, write_text
+from gctd3.nn.actor import ACTION, NODES
+from gctd3.robots.robot import Robot
+from gctd3.runs.load import load_policy
+from gctd3.tasks.reward import Reward
+from gctd3.training.checkpoint import POLICY, Checkpoints, checked, versions
+from gctd3.training.saved_configuration import find_run, load_settings
+
+# The one in which PyTorch's exporter is written; every later one is converted from it.
+OPSET = 18
+NEEDED = ("onnx", "onnxscript", "onnxruntime")
+Act = Callable[[np.ndarray], np.ndarray]  # states to actions
+STATES, TOLERANCE = 10_000, 1e-5  # on which the export is compared with PyTorch, and how far an action may be off
+MARGIN = 1.2  # of the largest change of a desired angle that was seen
+INSIDE = "policy.json"  # name of the contract inside a .pt2 file
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """What ``gctd3.export`` is asked to do.
+
+    Attributes:
+        run: Directory of the run; the policy that ships with the library if ``None``.
+        out: ``.onnx`` for an ONNX file with its contract beside it, ``.pt2`` for ``torch.export``'s with it inside.
+        max_rate: Largest rate at which a desired angle may change (rad/s); ``None`` for 1.2 times what the policy asks
+            of each servo in simulation.
+        episodes: Of that simulation.
+        seed: Of their starts.
+        threads: That simulate; all cores if ``None``.
+    """
+
+    run: str | None
+    out: str
+    max_rate: float | None = None
+    episodes: int = 10
+    seed: int = 10_000
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        check_between(self, 1, 10_000, "episodes")
+        check_seed("seed", self.seed)
+        if self.max_rate is not None and not self.max_rate > 0:
+            raise ConfigError(f"max_rate must be above 0 rad/s, or null, got {self.max_rate}.")
+        file = Path(self.out)
+        if file.suffix not in (".onnx", ".pt2"):
+            raise ConfigError(f"out must end in .onnx or .pt2, got {self.out!r}.")
+        if not file.absolute().parent.is_dir():
+            raise ConfigError(f"out={self.out}: there is no folder {file.absolute().parent}.")
+        missing = [package for package in NEEDED if find_spec(package) is None]
+        if missing and file.suffix == ".onnx":
+            raise ConfigError(f"To export to .onnx needs {', '.join(missing)}: pip install 'gctd3[export]'.")
+
+
+class Deterministic(nn.Module):
+    """A policy's deterministic action as a function of tensors, of whatever kind the policy is.
+
+    Shapes:
+        input ``[B, N, F]``, output ``[B, A]`` in [-1, 1].
+    """
+
+    def __init__(self, policy: TensorDictModuleBase) -> None:
+        super().__init__()
+        self.policy = policy
+        self._which = list(policy.out_keys).index(ACTION)
+
+    def forward(self, nodes: Tensor) -> Tensor:
+        """Act on ``nodes``."""
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            out = self.policy(nodes=nodes)
+        return out[self._which] if isinstance(out, tuple) else out
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What an export wrote and found.
+
+    Attributes:
+        files: Those written.
+        difference: Largest difference of an action from PyTorch's over ``states`` states, half of them visited in the
+            simulation, half of them random.
+        states: How many.
+    """
+
+    files: tuple[Path, ...]
+    difference: float
+    states: int
+
+
+def export_run(settings: ExportSettings) -> Exported:
+    """Export the best policy of a run.
+
+    Raises:
+        RunError: If the directory is not a run, or one of a library's task.
+        NumericalError: If the exported network differs from PyTorch's.
+    """
+    run, out = find_run(settings.run), Path(settings.out)
+    trained = load_settings(run)
+    if isinstance(trained.env, LibrarySettings):
+        raise RunError(f"{run} was trained on {trained.env.task}: export covers the walking task only.")
+    best = Checkpoints(run).best()
+    manifest, policy, robot = checked(best), load_policy(run), trained.load_robot()
+    visited, change = rehearse(policy, robot, trained.env, settings)
+    if settings.max_rate is not None:
+        change = np.full_like(change, settings.max_rate * trained.env.control_dt)
+    contract = describe(
+        robot,
+        trained.env.control_dt,
+        trained.env.history,
+        change,
+        weights=manifest["files"][POLICY],
+        frames_trained=int(manifest["frames"]),
+        trained_with=manifest["versions"],
+        exported_with=versions(NEEDED if out.suffix == ".onnx" else ()),
+    )
+    network, states = Deterministic(policy).eval(), _states(visited)
+    with torch.no_grad():
+        program = traced(network, states.shape[1:])
+        if out.suffix == ".onnx":
+            content, act = to_onnx(program, contract.robot)
+            seal = hashlib.sha256(content).hexdigest()
+            contract = replace(contract, network=replace(contract.network, sha256=seal, opset=OPSET))
+        else:
+            content, act = to_pt2(program, contract.to_json())
+        difference = float(np.abs(act(states) - network(torch.from_numpy(states)).numpy()).max())
+    if not difference <= TOLERANCE:
+        raise NumericalError(
+            f"The exported network's actions differ from PyTorch's by up to {difference:g}, allowed is {TOLERANCE:g}; "
+            "nothing was written."
+        )
+    write_bytes(out, content)
+    if out.suffix == ".pt2":
+        return Exported((out,), difference, len(states))
+    beside = out.with_suffix(".json")
+    write_text(beside, contract.to_json())
+    return Exported((out, beside), difference, len(states))
+
+
+def rehearse(
+    policy: TensorDictModuleBase, robot: Robot, env: EnvSettings, settings: ExportSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """Let a policy walk in simulation.
+
+    Returns:
+        The states that it visited, shape ``[T, N, F]``, and ``1.2`` times the most by which it changed each desired
+        angle in a step, from where the joint starts on, shape ``[A]`` (rad).
+    """
+    seen: list[tuple[Tensor, Tensor]] = []
+    hook = policy.register_forward_hook(lambda _, __, out: seen.append((out[NODES].clone(), out[ACTION].clone())))
+    judged = env.judging(settings.episodes, settings.threads)
+    robots = build_env(robot, judged, Reward(), settings.seed)
+    result = evaluate(policy, robots, robot, settings.seed, env.control_dt)
+    hook.remove()
+    nodes, actions = (torch.stack(column, dim=1).numpy() for column in zip(*seen, strict=True))
+    desired = robots.base_env.simulation.desired(actions.astype(np.float64))
+    start = robot.start_qpos[[robot.joint(name).qpos for name in robot.actuated]]
+    lengths = [len(episode.position) for episode in result.episodes]
+    paths = [np.concatenate([start[None], path[:steps]]) for path, steps in zip(desired, lengths, strict=True)]
+    change = np.max([np.abs(np.diff(path, axis=0)).max(axis=0) for path in paths], axis=0)
+    return np.concatenate([path[:steps] for path, steps in zip(nodes, lengths, strict=True)]), MARGIN * change
+
+
+def _states(visited: np.ndarray) -> np.ndarray:
+    """``STATES`` states to compare on, half of them visited, half of them normally distributed."""
+    rng = np.random.default_rng(0)
+    drawn = visited[rng.integers(len(visited), size=STATES // 2)]
+    return np.concatenate([drawn, rng.standard_normal((STATES - len(drawn), *visited.shape[1:]), dtype=np.float32)])
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what PyTorch's exporter says of its own code, of its passes and of packages that are not needed."""
+    loggers = [logging.getLogger(name) for name in ("onnx_ir", "onnxscript", "torch.onnx")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=r"`isinstance\(treespec, LeafSpec\)`", category=FutureWarning)
+            yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
+@_quiet()
+def traced(network: Deterministic, shape: tuple[int, ...]) -> torch.export.ExportedProgram:
+    """The network's graph for any batch, without where on this machine its lines of code are."""
+    example = torch.zeros(2, *shape)
+    # Of a named dimension it wants a proof, which fails on reshapes of every node's layer normalisation.
+    batch = torch.export.Dim.DYNAMIC
+    program = torch.export.export(network, (example,), dynamic_shapes={NODES: {0: batch}}, strict=False)
+    for node in program.graph.nodes:
+        node.meta.pop("stack_trace", None)
+    return program
+
+
+@_quiet()
+def to_onnx(program: torch.export.ExportedProgram, robot: RobotIdentity) -> tuple[bytes, Act]:
+    """An ONNX file's content, and the network in it."""
+    passes: Any = import_module("onnx_ir.passes.common")
+    made = torch.onnx.export(
+        program,
+        dynamo=True,
+        verbose=False,
+        opset_version=OPSET,
+        input_names=[NODES],
+        output_names=[ACTION],
+        dynamic_shapes={NODES: {0: "batch"}},
+    )
+    if made is None:
+        raise RuntimeError("torch.onnx.export made no program.")
+    passes.ClearMetadataAndDocStringPass()(made.model)  # where on this machine each line of code is
+    made.model.metadata_props.update({ROBOT: robot.name, ROBOT_HASH: robot.sha256})
+    content = made.model_proto.SerializeToString()
+    session = open_session(content)
+    return content, lambda states: session.run([ACTION], {NODES: states})[0]
+
+
+@_quiet()
+def to_pt2(program: torch.export.ExportedProgram, contract: str) -> tuple[bytes, Act]:
+    """The content of a file of ``torch.export``, and the network in it."""
+    file = io.BytesIO()
+    torch.export.save(program, file, extra_files={INSIDE: contract})
+    network = torch.export.load(io.BytesIO(file.getvalue())).module()
+    return file.getvalue(), lambda states: network(torch.from_numpy(states)).numpy()

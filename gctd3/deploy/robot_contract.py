@@ -1,0 +1,144 @@
+"""The contract of a policy, read off its robot: what the task senses in which node, and the servos that it commands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from gctd3.deploy.contract import FORMAT, Contract, Feature, NetworkFile, Node, RobotIdentity, Servo, robot_hash
+from gctd3.errors import RobotError
+from gctd3.nn.actor import ACTION, NODES
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.nodes import foot_slots
+from gctd3.robots.robot import Robot
+from gctd3.tasks.walk import FEATURES
+
+# Of a base that moves in more ways than forward and up: each coordinate's unit, and what it is.
+COORDINATES = {
+    "pitch": ("rad", "pitch of the root body from standing, nose down is positive"),
+    "roll": ("rad", "roll of the root body from standing, right side down is positive"),
+    "yaw": ("rad", "yaw of the root body from standing, to the left is positive"),
+    "side": ("m", "place of the root body to the left of where it starts"),
+}
+_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+
+
+def describe(
+    robot: Robot,
+    control_dt: float,
+    frames: int,
+    most_change: np.ndarray,
+    weights: str,
+    frames_trained: int,
+    trained_with: Mapping[str, str],
+    exported_with: Mapping[str, str],
+) -> Contract:
+    """The contract of a policy that is not in a file yet.
+
+    Args:
+        robot: The robot.
+        control_dt: Control period (s).
+        frames: In the input of the policy.
+        most_change: Of each desired angle in a control step, shape ``[A]`` (rad).
+        weights: Checksum of the file that holds the policy's.
+        frames_trained: Frames that it was trained on.
+        trained_with: Versions of packages.
+        exported_with: Versions of packages.
+
+    Raises:
+        RobotError: If a servo is none whose desired angle is the action, or the robot's file cannot be read.
+    """
+    nodes = sensed(robot)
+    network = NetworkFile(
+        sha256=None,
+        opset=None,
+        input=NODES,
+        input_shape=(len(nodes), FEATURES * frames),
+        output=ACTION,
+        weights_sha256=weights,
+    )
+    return Contract(
+        format=FORMAT,
+        network=network,
+        robot=RobotIdentity(robot.path.stem, robot_hash(robot.path), _standing_height(robot)),
+        control_rate_hz=1.0 / control_dt,
+        history_frames=frames,
+        history_order="oldest first",
+        history_warm_up="repeat the first frame",
+        normalisation="none",
+        nodes=nodes,
+        servos=tuple(_servo(robot, i, float(most)) for i, most in enumerate(most_change)),
+        frames_trained=frames_trained,
+        trained_with=dict(trained_with),
+        exported_with=dict(exported_with),
+    )
+
+
+def sensed(robot: Robot) -> tuple[Node, ...]:
+    """What each node of the robot's graph senses, as :meth:`.WalkingTask.node_features` has it."""
+    graph = KinematicGraph.from_robot(robot)
+    extra = iter(robot.base.extra)
+    nodes = []
+    for i, (name, kind) in enumerate(zip(graph.nodes, graph.kinds, strict=True)):
+        if kind == "root":
+            features = [
+                Feature("height_m", "height of the root body, 0 when the robot stands"),
+                Feature("velocity_m_s", "forward velocity of the root body"),
+            ]
+        elif kind == "base":
+            coordinate = next(extra)
+            unit, meaning = COORDINATES[coordinate]
+            rate = "its rate, as a gyroscope on the body measures it" if unit == "rad" else "its rate"
+            features = [Feature(f"{coordinate}_{unit}", meaning), Feature(f"{coordinate}_rate_{unit}_s", rate)]
+        elif kind == "ground":
+            features = [Feature(None, "nothing: always 0")] * FEATURES
+            for foot, (node, feature) in zip(robot.feet, foot_slots(robot), strict=True):
+                if node + graph.num_nodes == i:
+                    features[feature] = Feature(f"down_{foot}", "1 if this body touches the ground, else 0", True)
+        else:
+            features = [
+                Feature(f"angle_{name}_rad", "angle of the joint"),
+                Feature(f"velocity_{name}_rad_s", "velocity of the joint"),
+            ]
+        nodes.append(Node(name, tuple(features)))
+    return tuple(nodes)
+
+
+def _servo(robot: Robot, index: int, most_change: float) -> Servo:
+    model, joint = robot.model, robot.joint(robot.actuated[index])
+    gain, bias = float(model.actuator_gainprm[index, 0]), model.actuator_biasprm[index]
+    name, dynamics = robot.action_names[index], int(model.actuator_dyntype[index])
+    filtered = dynamics in _FILTERS
+    plain = dynamics == int(mujoco.mjtDyn.mjDYN_NONE)
+    if bias[0] != 0 or bias[1] != -gain or model.actuator_gear[index, 0] != 1 or not (plain or filtered):
+        raise RobotError(
+            f"{robot.path}: actuator {name!r} must be a <position> servo with a gear of 1 to be exported: a robot is "
+            "told desired joint angles."
+        )
+    limits = []
+    if model.actuator_forcelimited[index]:
+        limits.append(float(np.abs(model.actuator_forcerange[index]).max()))
+    if model.jnt_actfrclimited[joint.id]:
+        limits.append(float(np.abs(model.jnt_actfrcrange[joint.id]).max()))
+    low, high = (float(limit) for limit in robot.action_range[index])
+    return Servo(
+        actuator=name,
+        joint=joint.name,
+        low_rad=low,
+        high_rad=high,
+        start_rad=float(np.clip(robot.start_qpos[joint.qpos], low, high)),
+        most_change_rad=most_change,
+        kp_nm_per_rad=gain,
+        kd_nm_s_per_rad=float(-bias[2]),
+        effort_nm=min(limits, default=None),
+        time_constant_s=float(model.actuator_dynprm[index, 0]) if filtered else 0.0,
+    )
+
+
+def _standing_height(robot: Robot) -> float:
+    model, data = robot.model, mujoco.MjData(robot.model)
+    data.qpos[:] = robot.standing_qpos
+    mujoco.mj_kinematics(model, data)
+    return float(data.xpos[model.body(robot.root).id, 2])

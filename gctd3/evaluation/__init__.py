@@ -1,0 +1,1 @@
+"""Evaluation: rollouts, gait metrics, perturbations, robustness."""

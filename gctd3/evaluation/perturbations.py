@@ -1,0 +1,186 @@
+"""What can be done to a robot that walks: shoves, loads, other ground, actions that come late, sensors that err."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+
+from gctd3.envs.simulation import Simulation
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.mjcf import bodies_below
+from gctd3.robots.robot import Robot
+from gctd3.tasks.walk import FEATURES
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+
+
+def altered(robot: Robot, mass: float = 1.0, friction: float = 1.0) -> Robot:
+    """The robot with all its masses and inertias, and everything's friction, times a factor.
+
+    Of two surfaces that touch MuJoCo takes the larger friction, so the ground's changes with the soles'.
+    """
+    model = copy.deepcopy(robot.model)
+    bodies = bodies_below(model, model.body(robot.root).id)
+    model.body_mass[bodies] *= mass
+    model.body_inertia[bodies] *= mass
+    model.geom_friction[:] *= friction
+    model.pair_friction[:] *= friction
+    # What MuJoCo has derived from the masses is derived anew.
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return replace(robot, model=model)
+
+
+def velocity_change(robot: Robot, qpos: np.ndarray, impulse: np.ndarray) -> np.ndarray:
+    """What an impulse at the root body's centre of mass adds to the velocities: ``M(q)^-1 J(q)^T p``.
+
+    Args:
+        robot: The robot.
+        qpos: Its pose, shape ``[nq]``.
+        impulse: ``p`` in the world's axes, shape ``[3]`` (N s).
+
+    Returns:
+        Shape ``[nv]``.
+    """
+    model, data = robot.model, mujoco.MjData(robot.model)
+    data.qpos[:] = qpos
+    mujoco.mj_fwdPosition(model, data)
+    jacobian, change = np.zeros((3, model.nv)), np.zeros((1, model.nv))
+    mujoco.mj_jacBodyCom(model, data, jacobian, None, model.body(robot.root).id)
+    mujoco.mj_solveM(model, data, change, (jacobian.T @ impulse)[None])
+    return change[0]
+
+
+def resting_action(robot: Robot) -> torch.Tensor:
+    """The action that asks the servos for the pose in which episodes begin, shape ``[A]``, in [-1, 1]."""
+    model = robot.model
+    angles = robot.start_qpos[model.jnt_qposadr[model.actuator_trnid[:, 0]]] * model.actuator_gear[:, 0]
+    low, high = robot.action_range.T
+    action = np.clip((angles - (low + high) / 2) / ((high - low) / 2), -1.0, 1.0)
+    return torch.from_numpy(action.astype(np.float32))
+
+
+class Delayed:
+    """A policy whose actions arrive some control steps late; until the first one does, the servos hold the start pose.
+
+    Args:
+        policy: The policy; this is one for a single episode of every robot.
+        steps: Control steps.
+        rest: See :func:`resting_action`.
+    """
+
+    def __init__(self, policy: Policy, steps: int, rest: torch.Tensor) -> None:
+        self.policy, self.steps, self.rest = policy, steps, rest
+        self._waiting: list[torch.Tensor] = []
+
+    def __call__(self, state: TensorDictBase) -> TensorDictBase:
+        """Act on ``state``."""
+        acting = self.policy(state)
+        action = acting["action"]
+        if not self._waiting:
+            self._waiting = [self.rest.expand_as(action)] * self.steps
+        self._waiting.append(action)
+        return acting.set("action", self._waiting.pop(0).clone())
+
+
+class Noisy:
+    """A policy whose sensors err by a normal amount, drawn once for every frame and remembered with it in the stack.
+
+    Args:
+        policy: The policy; this is one for a single episode of every robot.
+        deviation: Standard deviation of every feature of a frame, shape ``[N, 2]``; see :func:`sensor_deviation`.
+        seed: Of the noise.
+    """
+
+    def __init__(self, policy: Policy, deviation: torch.Tensor, seed: int) -> None:
+        self.policy, self.deviation = policy, deviation
+        self._generator = torch.Generator().manual_seed(seed)
+        self._noise: torch.Tensor | None = None
+
+    def __call__(self, state: TensorDictBase) -> TensorDictBase:
+        """Act on ``state``, whose ``nodes`` stay as they are."""
+        nodes = state["nodes"]
+        fresh = self.deviation * torch.randn((*nodes.shape[:-1], FEATURES), generator=self._generator)
+        if self._noise is None:
+            # As the frame of the reset fills the whole stack, so does its error.
+            self._noise = torch.cat([fresh] * (nodes.shape[-1] // FEATURES), dim=-1)
+        else:
+            self._noise = torch.cat([self._noise[..., FEATURES:], fresh], dim=-1)
+        seen = state.clone(recurse=False).set("nodes", nodes + self._noise)
+        return state.set("action", self.policy(seen)["action"])
+
+
+def sensor_deviation(robot: Robot, angle: float, velocity: float, length: float, speed: float) -> torch.Tensor:
+    """Standard deviations of the errors of every node's two features in a frame, shape ``[N, 2]``; contacts are sure.
+
+    Args:
+        robot: The robot.
+        angle: Of angles (rad).
+        velocity: Of angular velocities (rad/s).
+        length: Of the body's height, and its way to the side (m).
+        speed: Of the body's velocities (m/s).
+    """
+    kinds = KinematicGraph.from_robot(robot).kinds
+    base = [(length, speed) if name == "side" else (angle, velocity) for name in robot.base.extra]
+    joints, grounds = kinds.count("hinge"), kinds.count("ground")
+    # In the nodes' order, see gctd3.robots.nodes.
+    rows = [(length, speed), *base, *[(angle, velocity)] * joints, *[(0.0, 0.0)] * grounds]
+    return torch.tensor(rows, dtype=torch.float32)
+
+
+class Shoved:
+    """A policy whose robots are shoved once each, some time after a touchdown of their first foot.
+
+    A shove changes the velocities from one control step to the next, as a blow does.
+
+    Args:
+        policy: The policy; this is one for a single episode of every robot.
+        simulation: In which the robots walk.
+        impulses: Of each robot, along its forward axis, shape ``[robots]`` (N s); negative against it.
+        waits: Control steps from the touchdown to each shove, shape ``[robots]``.
+        settle: Distance past which a touchdown counts (m).
+        swing: Control steps that the foot has to have been in the air before.
+
+    Attributes:
+        shoved_at: Control step before which each robot was shoved, -1 if it was not, shape ``[robots]``.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        simulation: Simulation,
+        impulses: Sequence[float] | np.ndarray,
+        waits: Sequence[int] | np.ndarray,
+        settle: float,
+        swing: int,
+    ) -> None:
+        self.policy, self.simulation = policy, simulation
+        self.impulses, self.settle, self.swing = np.asarray(impulses), settle, swing
+        self.shoved_at = np.full(simulation.num_robots, -1)
+        self._left = np.asarray(waits).copy()
+        self._armed = np.zeros(simulation.num_robots, dtype=bool)
+        self._air = np.zeros(simulation.num_robots, dtype=np.int64)
+        self._step = 0
+
+    def __call__(self, state: TensorDictBase) -> TensorDictBase:
+        """Shove those whose turn it is, then act on ``state``, which was sensed before."""
+        now = self.simulation.now
+        down = now.feet_down[:, 0]
+        self._armed |= down & (self._air >= self.swing) & (now.position >= self.settle)
+        self._air = np.where(down, 0, self._air + 1)
+        for robot in np.flatnonzero(self._armed & (self._left == 0) & (self.shoved_at < 0)):
+            self._shove(int(robot))
+        self._left[self._armed] -= 1
+        self._step += 1
+        return self.policy(state)
+
+    def _shove(self, index: int) -> None:
+        simulation, robot = self.simulation, self.simulation.task.robot
+        impulse = self.impulses[index] * robot.base.frame[0]
+        simulation.qvel[index] += velocity_change(robot, simulation.qpos[index], impulse)
+        self.shoved_at[index] = self._step

@@ -1,0 +1,183 @@
+"""What robots do while they are judged, as finely as physics has it: forces of the servos, soles, joints, actions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import mujoco
+import numpy as np
+
+from gctd3.envs.simulation import Simulation
+from gctd3.evaluation.effort import mechanical_work
+from gctd3.robots.geometry import geom_points, lowest_point
+from gctd3.robots.mjcf import colliding_geoms
+from gctd3.robots.robot import Robot
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One episode of one robot; ``T`` is its number of control steps, and every row is the state after one.
+
+    Attributes:
+        action: Shape ``[T, A]``, in [-1, 1].
+        angles: Of ``robot.joints``, shape ``[T, J]`` (rad).
+        velocities: Of the same, shape ``[T, J]`` (rad/s).
+        velocity: Forward, shape ``[T]`` (m/s).
+        state: All coordinates but the way forward, and all velocities, shape ``[T, nq - 1 + nv]``.
+        work: Of all servos in the control step, absolute and positive, shape ``[T, 2]`` (J).
+        saturated: Share of its physics steps in which each servo gave all it can, shape ``[T, A]``.
+        sole_height: Of each foot's lowest point, above where it is when standing, shape ``[T, feet]`` (m).
+        sole_speed: Horizontal speed of that point, shape ``[T, feet]`` (m/s).
+    """
+
+    action: np.ndarray
+    angles: np.ndarray
+    velocities: np.ndarray
+    velocity: np.ndarray
+    state: np.ndarray
+    work: np.ndarray
+    saturated: np.ndarray
+    sole_height: np.ndarray
+    sole_speed: np.ndarray
+
+    def since(self, step: int) -> Motion:
+        """The motion from a control step on."""
+        return Motion(**{field.name: getattr(self, field.name)[step:] for field in fields(self)})
+
+
+class Servos:
+    """The position servos of a robot that walks, as MuJoCo computes them: ``clip(g u + b0 + b1 l + b2 v)``.
+
+    ``u`` is the desired angle, ``l`` and ``v`` are length and velocity of the actuator: gear times joint angle (rad)
+    and joint velocity (rad/s).
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        joints = model.actuator_trnid[:, 0]
+        self.qpos, self.qvel = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+        self.gear, self.gain = model.actuator_gear[:, 0], model.actuator_gainprm[:, 0]
+        self.bias = model.actuator_biasprm[:, :3].T
+        limited = model.actuator_forcelimited.astype(bool)
+        self.limit = np.where(limited, np.abs(model.actuator_forcerange).max(axis=1), np.inf)
+        # A servo that filters its input has the filter's state in place of the input.
+        self.filtered = model.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE
+        self.act = np.where(self.filtered, model.actuator_actadr + model.actuator_actnum - 1, 0)
+
+    def force(self, qpos: np.ndarray, qvel: np.ndarray, control: np.ndarray) -> np.ndarray:
+        """Of every servo, shape ``[*, A]`` (N m), from ``qpos [*, nq]``, ``qvel [*, nv]`` and inputs ``[*, A]``."""
+        b0, b1, b2 = self.bias
+        length, velocity = qpos[..., self.qpos] * self.gear, qvel[..., self.qvel] * self.gear
+        wanted = self.gain * control + b0 + b1 * length + b2 * velocity
+        return np.asarray(np.clip(wanted, -self.limit, self.limit))
+
+
+class Recorder:
+    """Follows the robots of a simulation, from after a reset.
+
+    Args:
+        robot: Their kind.
+        simulation: In which they are stepped.
+    """
+
+    def __init__(self, robot: Robot, simulation: Simulation) -> None:
+        self.robot, self.simulation = robot, simulation
+        self.servos = Servos(robot.model)
+        self._rows: list[tuple[np.ndarray, ...]] = []
+
+    def add(self, action: np.ndarray) -> None:
+        """Take down the control step that was just made with ``action [N, A]``."""
+        simulation, servos, model = self.simulation, self.servos, self.robot.model
+        states = simulation.trail()
+        qpos, rest = states[..., 1 : 1 + model.nq], 1 + model.nq
+        qvel, act = states[..., rest : rest + model.nv], states[..., rest + model.nv : rest + model.nv + model.na]
+        control = np.broadcast_to(simulation.desired(action)[:, None], (*states.shape[:2], action.shape[-1]))
+        if servos.filtered.any():
+            control = np.where(servos.filtered, act[..., servos.act], control)
+        begin = servos.force(qpos[:, :-1], qvel[:, :-1], control[:, :-1])
+        # MuJoCo's implicit integrator applies the force of the velocity at the step's end; the mean of both velocities
+        # makes its product with the force the energy that the step brings.
+        force = servos.force(qpos[:, :-1], qvel[:, 1:], control[:, :-1])
+        speed = (qvel[:, :-1, servos.qvel] + qvel[:, 1:, servos.qvel]) / 2 * servos.gear
+        dt = model.opt.timestep
+        work = np.array([mechanical_work(f, w, dt) for f, w in zip(force, speed, strict=True)])
+        saturated = (np.abs(begin) >= servos.limit * (1.0 - 1e-9)).mean(axis=1)
+        self._rows.append((action.copy(), qpos[:, -1].copy(), qvel[:, -1].copy(), work, saturated))
+
+    def motions(self, steps: list[int]) -> list[Motion]:
+        """What each robot did in its first steps, as many as ``steps`` says."""
+        columns = [np.stack(column, axis=1) for column in zip(*self._rows, strict=True)]
+        return [self._motion(*(column[i, :count] for column in columns)) for i, count in enumerate(steps)]
+
+    def _motion(
+        self, action: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, work: np.ndarray, saturated: np.ndarray
+    ) -> Motion:
+        robot = self.robot
+        height, speed = soles(robot, qpos, self.simulation.task.control_dt)
+        return Motion(
+            action=action,
+            angles=qpos[:, [joint.qpos for joint in robot.joints]],
+            velocities=qvel[:, [joint.qvel for joint in robot.joints]],
+            velocity=np.asarray(robot.base.read(qpos, qvel)["forward"][1]),
+            state=np.concatenate([np.delete(qpos, robot.forward, axis=1), qvel], axis=1),
+            work=work,
+            saturated=saturated,
+            sole_height=height,
+            sole_speed=speed,
+        )
+
+
+def soles(robot: Robot, qpos: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """How high each foot's lowest point is above where it stands (m), and how fast that point moves over the ground.
+
+    The point is one of the foot's material: the distance that it goes to the next sample, over ``dt``; a foot that
+    rolls over its edge does not slip.
+
+    Args:
+        robot: The robot.
+        qpos: Shape ``[T, nq]``.
+        dt: Between the samples (s).
+
+    Returns:
+        Heights (m) and speeds (m/s), each of shape ``[T, feet]``.
+    """
+    model, data = robot.model, mujoco.MjData(robot.model)
+    feet = [model.body(foot).id for foot in robot.feet]
+    data.qpos[:] = robot.standing_qpos
+    mujoco.mj_kinematics(model, data)
+    local, ground = [], []
+    for foot in feet:
+        found = [geom_points(model, data, geom) for geom in colliding_geoms(model, foot)]
+        points = np.concatenate(found) if found else data.xpos[[foot]]
+        local.append((points - data.xpos[foot]) @ data.xmat[foot].reshape(3, 3))
+        ground.append(points[:, 2].min())
+    place, turn = np.empty((len(qpos), len(feet), 3)), np.empty((len(qpos), len(feet), 3, 3))
+    for t, pose in enumerate(qpos):
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        place[t], turn[t] = data.xpos[feet], data.xmat[feet].reshape(-1, 3, 3)
+    height, speed = np.empty(place.shape[:2]), np.zeros(place.shape[:2])
+    for i, points in enumerate(local):
+        above = place[:, i, None, 2] + np.einsum("tk,pk->tp", turn[:, i, 2], points)
+        lowest = above.argmin(axis=1)
+        height[:, i] = above.min(axis=1) - ground[i]
+        now = place[:, i] + np.einsum("tjk,tk->tj", turn[:, i], points[lowest])
+        later = place[1:, i] + np.einsum("tjk,tk->tj", turn[1:, i], points[lowest[:-1]])
+        speed[:-1, i] = np.linalg.norm((later - now[:-1])[:, :2], axis=1) / dt
+    if len(qpos) > 1:
+        speed[-1] = speed[-2]  # where it goes from the last sample, nobody sees
+    return height, speed
+
+
+def leg_length(robot: Robot) -> float:
+    """Height of the hips above the ground when standing, the mean over legs (m)."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    data.qpos[:] = robot.standing_qpos
+    mujoco.mj_kinematics(model, data)
+    geoms = [geom for foot in robot.feet for geom in colliding_geoms(model, model.body(foot).id)]
+    ground = lowest_point(model, data, geoms)
+    return float(np.mean([data.xanchor[leg[0].id][2] for leg in robot.legs]) - ground)
+
+
+def total_mass(robot: Robot) -> float:
+    """Of the robot (kg)."""
+    return float(robot.model.body(robot.root).subtreemass[0])

@@ -1,0 +1,227 @@
+"""What a walking policy stands: shoves at every phase of the stride, other masses and floors, late actions, noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.errors import ConfigError, check_between
+from gctd3.evaluation.gait_metrics import SHORTEST_SWING
+from gctd3.evaluation.perturbations import Delayed, Noisy, Policy, Shoved, altered, resting_action, sensor_deviation
+from gctd3.evaluation.recorder import total_mass
+from gctd3.evaluation.rollout import evaluate
+from gctd3.robots.robot import Robot
+from gctd3.tasks.reward import Reward
+
+DIRECTIONS = {"forward": 1.0, "backward": -1.0}
+AS_TRAINED = "as trained"
+
+
+@dataclass(frozen=True)
+class Perturbations:
+    """How much of what is tried.
+
+    Attributes:
+        impulses: Of the shoves, rising (N s).
+        phases: Parts of the stride, at the beginning of each of which robots are shoved.
+        starts: Shoves of each impulse, phase and direction, each in an episode of its own.
+        settle: Distance after which a robot is shoved (m).
+        recover: Time that it has to go on after that (s).
+        masses: Factors of all the robot's masses.
+        frictions: Factors of all friction.
+        delays: By which actions come late (control steps).
+        angle_noise: Standard deviation of the errors of angles (rad).
+        velocity_noise: Of angular velocities (rad/s).
+        height_noise: Of the body's height (m).
+        speed_noise: Of the body's velocity (m/s).
+    """
+
+    impulses: Sequence[float] = (4.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 40.0)
+    phases: int = 8
+    starts: int = 5
+    settle: float = 5.0
+    recover: float = 3.0
+    masses: Sequence[float] = (0.8, 1.2)
+    frictions: Sequence[float] = (0.5, 1.5)
+    delays: Sequence[int] = (1, 2)
+    angle_noise: float = 0.02
+    velocity_noise: float = 0.5
+    height_noise: float = 0.005
+    speed_noise: float = 0.05
+
+    def __post_init__(self) -> None:
+        check_between(self, 1, 1000, "phases", "starts")
+        check_between(self, 0, 1000, "settle", "angle_noise", "velocity_noise", "height_noise", "speed_noise")
+        impulses = list(self.impulses)
+        if not impulses or impulses != sorted(set(impulses)) or not impulses[0] > 0:
+            raise ConfigError(f"impulses must hold numbers above 0 that rise, got {impulses}.")
+        for name in ("masses", "frictions"):
+            if any(not factor > 0 for factor in getattr(self, name)):
+                raise ConfigError(f"{name} must hold factors above 0, got {list(getattr(self, name))}.")
+        if any(not 1 <= steps <= 1000 for steps in self.delays):
+            raise ConfigError(f"delays must hold whole numbers from 1 to 1,000, got {list(self.delays)}.")
+        if not self.recover > 0:
+            raise ConfigError(f"recover must be above 0 s, got {self.recover}.")
+
+
+@dataclass(frozen=True)
+class Examination:
+    """A policy that is to be tried.
+
+    Attributes:
+        policy: The policy.
+        robot: For which it was trained.
+        env: How it is simulated; its number of robots is that of the episodes of each condition.
+        reward: Under which it is judged.
+        seed: Of the starts and of the noise.
+        perturbations: What is tried.
+    """
+
+    policy: Policy
+    robot: Robot
+    env: EnvSettings
+    reward: Reward
+    seed: int
+    perturbations: Perturbations
+
+    def results(self, stride_time: float | None) -> dict[str, Any]:
+        """All of it, ready for JSON.
+
+        Args:
+            stride_time: Of the policy's gait (s); without strides there are no phases at which to shove.
+        """
+        conditions: dict[str, dict[str, float | int]] = {}
+        with tqdm(self._conditions().items(), desc="trying", unit=" condition") as bar:
+            for name, (policy, robot) in bar:
+                conditions[name] = self._judged(policy, robot)
+        return {
+            "perturbations": asdict(self.perturbations),
+            "mass_kg": total_mass(self.robot),
+            "seed": self.seed,
+            "conditions": conditions,
+            "shoves": None if stride_time is None else self.shoves(stride_time),
+        }
+
+    def _conditions(self) -> dict[str, tuple[Policy, Robot]]:
+        p, robot = self.perturbations, self.robot
+        noise = sensor_deviation(robot, p.angle_noise, p.velocity_noise, p.height_noise, p.speed_noise)
+        found: dict[str, tuple[Policy, Robot]] = {AS_TRAINED: (self.policy, robot)}
+        for factor in p.masses:
+            found[f"mass {_percent(factor)}"] = self.policy, altered(robot, mass=factor)
+        for factor in p.frictions:
+            found[f"friction {_percent(factor)}"] = self.policy, altered(robot, friction=factor)
+        for steps in p.delays:
+            late = Delayed(self.policy, steps, resting_action(robot))
+            found[f"actions {steps} step{'s' * (steps != 1)} late"] = late, robot
+        found["sensor noise"] = Noisy(self.policy, noise, self.seed), robot
+        return found
+
+    def _judged(self, policy: Policy, robot: Robot) -> dict[str, float | int]:
+        env = build_env(robot, self.env, self.reward, self.seed)
+        return evaluate(policy, env, robot, self.seed, self.env.control_dt).summary()
+
+    def shoves(self, stride_time: float) -> dict[str, Any]:
+        """Every impulse at every phase in both directions, all at once.
+
+        ``survived`` is the share of starts, by direction, phase and impulse, ``None`` where nobody got that far;
+        ``largest`` the impulse (N s) up to which all survive, by direction and phase.
+        """
+        p, dt = self.perturbations, self.env.control_dt
+        period = stride_time / dt
+        shape = (len(DIRECTIONS), p.phases, len(p.impulses), p.starts)
+        direction, phase, impulse, _ = (axis.ravel() for axis in np.indices(shape))
+        signs = np.array(list(DIRECTIONS.values()))
+        env = build_env(self.robot, self.env.judging(direction.size, self.env.threads), self.reward, self.seed)
+        shoved = Shoved(
+            self.policy,
+            env.base_env.simulation,
+            signs[direction] * np.array(p.impulses)[impulse],
+            np.round(phase / p.phases * period).astype(np.int64),
+            p.settle,
+            max(1, round(SHORTEST_SWING * period)),
+        )
+        episodes = evaluate(shoved, env, self.robot, self.seed, dt).episodes
+        lasted = np.array([len(episode.reward) for episode in episodes]) - shoved.shoved_at
+        stood = (lasted >= p.recover / dt) | np.array([episode.success for episode in episodes])
+        # Whoever fell before goes on being simulated, but its episode is over.
+        known = (shoved.shoved_at >= 0) & (lasted > 0)
+        stood, known = (stood & known).reshape(shape), known.reshape(shape)
+        rates = np.where(known.any(axis=-1), stood.sum(axis=-1) / np.maximum(known.sum(axis=-1), 1), np.nan)
+        return {
+            "stride_time_s": stride_time,
+            "never_shoved": int((~known).sum()),
+            "survived": dict(zip(DIRECTIONS, _plain(rates), strict=True)),
+            "largest": dict(zip(DIRECTIONS, _plain(largest(rates, p.impulses)), strict=True)),
+        }
+
+
+def largest(rates: np.ndarray, impulses: Sequence[float]) -> np.ndarray:
+    """Up to which impulse all survive: that one and every smaller one; 0 if not even the smallest.
+
+    Args:
+        rates: Shares that survive, shape ``[*, impulses]``; NaN where nobody was shoved.
+        impulses: Rising (N s).
+
+    Returns:
+        Shape ``[*]`` (N s), NaN where nobody was shoved with the smallest.
+    """
+    steps = np.cumprod(rates >= 1.0, axis=-1).sum(axis=-1)
+    found = np.concatenate([[0.0], np.asarray(impulses, dtype=np.float64)])[steps]
+    return np.where(np.isnan(rates[..., 0]), np.nan, found)
+
+
+def weakest(results: Mapping[str, Any], direction: str) -> float:
+    """The largest impulse (N s) that is survived at every phase; NaN if nobody was shoved."""
+    found = [value for value in ((results.get("shoves") or {}).get("largest") or {}).get(direction, ())]
+    return min((math.nan if value is None else value for value in found), default=math.nan)
+
+
+def table(results: Mapping[str, Any]) -> str:
+    """The results as text: a line for each condition, then the shoves by phase."""
+    lines = [f"{'':24}{'success':>9}{'return':>16}{'m/s':>8}{'m':>8}"]
+    for name, found in results["conditions"].items():
+        spread = f"{found['return_mean']:.1f} ± {found['return_std']:.1f}"
+        lines.append(
+            f"{name:24}{found['success_rate']:>9.2f}{spread:>16}{found['velocity_mean']:>8.3f}"
+            f"{found['distance_mean']:>8.2f}"
+        )
+    shoves, p = results["shoves"], results["perturbations"]
+    if shoves is None:
+        return "\n".join([*lines, "", "The gait has no strides, so there are no phases at which to shove."])
+    lines += ["", f"Largest impulse survived by all {p['starts']} starts, N s, {p['settle']:g} m after the start"]
+    phases = [f"{phase / p['phases']:.0%}" for phase in range(p["phases"])]
+    lines.append(f"{'at this part of a stride':24}" + "".join(f"{phase:>7}" for phase in phases))
+    for direction, values in shoves["largest"].items():
+        lines.append(f"{direction:24}" + "".join(f"{_impulse(value, p['impulses']):>7}" for value in values))
+    for direction in DIRECTIONS:
+        least = weakest(results, direction)
+        if math.isfinite(least):
+            said = f"{_impulse(least, p['impulses'])} N s, {least / results['mass_kg']:.2f} m/s of its mass"
+            lines.append(f"{direction}, at the worst moment: {said}")
+    if shoves["never_shoved"]:
+        lines.append(f"{shoves['never_shoved']} robots fell before they could be shoved and do not count.")
+    return "\n".join(lines)
+
+
+def _impulse(value: float | None, impulses: Sequence[float]) -> str:
+    if value is None:
+        return "-"
+    # The largest that was tried is a bound.
+    return f"{'≥ ' if value >= impulses[-1] else ''}{value:g}"
+
+
+def _percent(factor: float) -> str:
+    return f"{(factor - 1.0) * 100:+.0f} %"
+
+
+def _plain(values: np.ndarray) -> Any:  # noqa: ANN401 - nested lists
+    """As lists, with ``None`` where there is no number."""
+    if values.ndim:
+        return [_plain(row) for row in values]
+    return float(values) if np.isfinite(values) else None

@@ -1,0 +1,144 @@
+"""Many episodes of one policy: run them, and what they come to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+
+from gctd3.data.finite import check_finite
+from gctd3.errors import ConfigError, check_seed
+from gctd3.evaluation.episode import Episode
+from gctd3.evaluation.recorder import Recorder
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.nodes import foot_slots
+from gctd3.robots.robot import Robot
+from gctd3.tasks.walk import FEATURES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judging:
+    """How many episodes are judged, and from where; what the settings of all commands that judge have in common.
+
+    Attributes:
+        episodes: How many, each from its own start.
+        seed: Of the starts.
+        threads: That simulate; all cores if ``None``.
+    """
+
+    episodes: int = 50
+    seed: int = 10_000
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.episodes < 1:
+            raise ConfigError(f"episodes must be at least 1, got {self.episodes}.")
+        check_seed("seed", self.seed)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Many episodes of one policy.
+
+    Attributes:
+        episodes: The episodes.
+        control_dt: Control period (s).
+    """
+
+    episodes: list[Episode]
+    control_dt: float
+
+    @property
+    def returns(self) -> np.ndarray:
+        """Shape ``[episodes]``."""
+        return np.array([episode.reward.sum() for episode in self.episodes])
+
+    def summary(self) -> dict[str, float | int]:
+        """The headline numbers: means over episodes, ``return_std`` their standard deviation."""
+        episodes = self.episodes
+        return {
+            "episodes": len(episodes),
+            "return_mean": float(self.returns.mean()),
+            "return_std": float(self.returns.std()),
+            "velocity_mean": float(np.mean([e.velocity(self.control_dt) for e in episodes])),
+            "distance_mean": float(np.mean([e.position[-1] for e in episodes])),
+            "success_rate": float(np.mean([e.success for e in episodes])),
+            "body_position_mean": float(np.mean(np.concatenate([e.height for e in episodes]))),
+        }
+
+    @property
+    def typical(self) -> Episode:
+        """The episode whose return is the median one, or just below."""
+        return self.episodes[int(np.argsort(self.returns, kind="stable")[(len(self.episodes) - 1) // 2])]
+
+    def gait(self) -> dict[str, float]:
+        """Gait metrics over the last 10 m, averaged over the episodes that got that far; empty if none did."""
+        gaits = [gait for e in self.episodes if (gait := e.gait(self.control_dt)) is not None]
+        if not gaits:
+            return {}
+        averages = {key: float(np.mean([gait[key] for gait in gaits])) for key in gaits[0]}
+        return {"episodes": len(gaits), **averages}
+
+
+def evaluate(
+    policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int, control_dt: float, record: bool = False
+) -> Evaluation:
+    """Run one episode on every robot of ``env``.
+
+    Args:
+        policy: Reads ``"nodes"``, writes ``"action"``; its mode is taken if it is stochastic.
+        env: Of :func:`gctd3.envs.factory.build_env`, batch size ``[episodes]``.
+        robot: Its robot.
+        seed: Of the starts: equal seeds, equal starts.
+        control_dt: Control period (s).
+        record: Whether to keep each episode's motion; only for the batched backend.
+
+    Raises:
+        NumericalError: If an action of the policy is not finite.
+    """
+    names = KinematicGraph.from_robot(robot).nodes
+    ground, feature = foot_slots(robot).T
+    hips = [names.index(leg[0].name) for leg in robot.legs]
+    count = env.batch_size[0]
+    alive = torch.ones(count, dtype=torch.bool)
+    frames: list[tuple[torch.Tensor, ...]] = []
+    # TorchRL seeds the global generator along with the environment's: a fork keeps that out of the training.
+    with torch.random.fork_rng(devices=[]), torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        env.set_seed(seed)
+        state = env.reset()
+        recorder = Recorder(robot, env.base_env.simulation) if record else None
+        while alive.any():
+            acting = policy(state)
+            check_finite("action", acting["action"])
+            state = env.step(acting)
+            if recorder is not None:
+                recorder.add(acting["action"].numpy().astype(np.float64))
+            after = state["next"]
+            # A policy that sees something else, or more, has what the nodes sense beside it.
+            newest = after.get("sensed", after["nodes"])[..., -FEATURES:]
+            frames.append((alive, after["reward"][:, 0], after["position"][:, 0], newest, after["success"][:, 0]))
+            alive = alive & ~after["done"][:, 0]
+            state = step_mdp(state)
+    lived, reward, position, nodes, success = (torch.stack(column).numpy() for column in zip(*frames, strict=True))
+    lengths = [int(steps) for steps in lived.sum(axis=0)]
+    motions = recorder.motions(lengths) if recorder is not None else [None] * count
+    episodes = []
+    for i, steps in enumerate(lengths):
+        mine = nodes[:steps, i]
+        episodes.append(
+            Episode(
+                reward=reward[:steps, i].astype(np.float64),
+                position=position[:steps, i],
+                height=mine[:, 0, 0],
+                hips=mine[:, hips, 0] * robot.hip_signs,
+                feet_down=mine[:, ground, feature] > 0.5,
+                pairs=tuple((i, other) for i, other in enumerate(robot.mirror_feet) if i < other),
+                success=bool(success[:steps, i].any()),
+                motion=motions[i],
+            )
+        )
+    return Evaluation(episodes, control_dt)

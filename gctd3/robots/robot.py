@@ -1,0 +1,287 @@
+"""A legged robot read from an MJCF: its base, joints, feet and left/right mirror, and what walking asks of it.
+
+Stage one of the data flow. Needs MuJoCo and NumPy, nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from gctd3.errors import RobotError
+from gctd3.robots.actuators import check_servos
+from gctd3.robots.feet import find_feet, named_feet
+from gctd3.robots.floating_base import AXES, Axis, Base, find_forward
+from gctd3.robots.mirror_pairs import count_reflected, pair_joints, reflected_sign, swap_side
+from gctd3.robots.mjcf import Joint, body_name, load_mjcf, read_actuated, read_joints, root_body
+from gctd3.robots.standing_pose import check_standing, find_standing, find_start
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot with a root body and joints below it; what else it needs to walk, :meth:`check_walking` says.
+
+    Build it with :meth:`from_mjcf`; nothing about it is typed in.
+
+    Attributes:
+        model: The compiled MuJoCo model.
+        path: The MJCF file, or what to call a model in memory.
+        root: Name of the body that carries the base joints.
+        joints: All joints outside the base, in the order of the MJCF (depth first).
+        actuated: For each actuator of a joint, in order, the name of the joint that it drives.
+        feet: Names of the bodies that may touch the ground.
+        forward_axis: Where forward is: ``x``, ``-x``, ``y`` or ``-y`` of the world.
+    """
+
+    model: mujoco.MjModel
+    path: Path
+    root: str
+    joints: tuple[Joint, ...]
+    actuated: tuple[str, ...]
+    feet: tuple[str, ...]
+    forward_axis: Axis = "x"
+
+    @classmethod
+    def from_mjcf(
+        cls,
+        source: str | Path | mujoco.MjModel | mujoco.MjSpec,
+        feet: str | Sequence[str] | None = None,
+        forward: Axis | None = None,
+    ) -> Robot:
+        """Read a robot.
+
+        Args:
+            source: An MJCF file, the name of a robot that ships with the library (``"biped"``), or a model in memory.
+            feet: Names of the bodies (or of their geoms) that may touch the ground; by default those at the ends of
+                the legs that stand on it, see :func:`.find_feet`.
+            forward: Where forward is; by default see :func:`.find_forward`.
+
+        Raises:
+            RobotError: If the file is missing, does not parse, or has no one root, no joint or no foot.
+        """
+        model, file = load_mjcf(source)
+        root = root_body(model, file)
+        joints = read_joints(model, root, file)
+        if forward is not None and forward not in AXES:
+            raise RobotError(f"forward must be one of {', '.join(AXES)}, got {forward!r}.")
+        if forward is None:
+            reflected = {axis: count_reflected(model, joints, Base(model, root, axis).frame[1]) for axis in ("x", "y")}
+            forward = find_forward(model, root, joints, reflected)
+        names = find_feet(model, root, file) if feet is None else named_feet(model, root, feet, file)
+        actuated = tuple(read_actuated(model, joints))
+        return cls(model, file, body_name(model, root), tuple(joints), actuated, tuple(names), forward)
+
+    # Base.
+
+    @cached_property
+    def base(self) -> Base:
+        """How the root body moves about."""
+        return Base(self.model, root_body(self.model, self.path), self.forward_axis)
+
+    @property
+    def forward(self) -> int:
+        """Index in ``qpos`` of the coordinate along the forward axis (m); on slides, in ``qvel`` too."""
+        return self._index("forward")
+
+    @property
+    def vertical(self) -> int:
+        """Index in ``qpos`` of the coordinate along z (m); on slides, in ``qvel`` too."""
+        return self._index("height")
+
+    def _index(self, coordinate: str) -> int:
+        axis = self.base.frame[{"forward": 0, "height": 2}[coordinate]]
+        if self.base.free is not None:
+            return self.base.free.qpos + int(np.argmax(np.abs(axis)))
+        if coordinate not in self.base.single:
+            raise RobotError(
+                f"{self.path}: the root body {self.root!r} has no slide joint along "
+                f"{'xyz'[int(np.argmax(np.abs(axis)))]}; "
+                "a robot that walks needs a free joint, or slides along its forward axis and along z."
+            )
+        return self.base.single[coordinate].qpos
+
+    @cached_property
+    def standing_qpos(self) -> np.ndarray:
+        """``qpos`` in which it stands, from which heights count; see :func:`.find_standing`. Shape ``[nq]``."""
+        return find_standing(self.base, [self._bodies[foot] for foot in self.feet])
+
+    @cached_property
+    def start_qpos(self) -> np.ndarray:
+        """``qpos`` in which episodes begin, but for their noise; see :func:`.find_start`. Shape ``[nq]``."""
+        return find_start(self.base, self.standing_qpos)
+
+    # Joints and actuators.
+
+    def joint(self, name: str) -> Joint:
+        """The joint of that name.
+
+        Raises:
+            RobotError: If there is none; the message lists those there are.
+        """
+        for joint in self.joints:
+            if joint.name == name:
+                return joint
+        raise RobotError(f"{self.path} has no joint {name!r}; it has {', '.join(j.name for j in self.joints)}.")
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the actuators, in the order of the action. Length ``A``."""
+        return tuple(self.model.actuator(i).name or joint for i, joint in enumerate(self.actuated))
+
+    @property
+    def action_range(self) -> np.ndarray:
+        """Lower and upper desired joint angle (rad) of each actuator. Shape ``[A, 2]``."""
+        return self.model.actuator_ctrlrange.copy()
+
+    @cached_property
+    def legs(self) -> tuple[tuple[Joint, ...], ...]:
+        """For each foot, the joints from the root down to it."""
+        chains = []
+        for foot in self.feet:
+            chain: list[Joint] = []
+            last = [j for j in self.joints if j.body == foot] or self._joints_above(foot)
+            name: str | None = last[-1].name if last else None
+            while name is not None:
+                chain.append(self.joint(name))
+                name = chain[-1].parent
+            chains.append(tuple(reversed(chain)))
+        return tuple(chains)
+
+    @cached_property
+    def hip_signs(self) -> np.ndarray:
+        """Factors that make a hip's angle count in the sense of its mirror image, if that comes first. ``[feet]``."""
+        mirrored = self.mirror_feet
+        return np.array([self.mirror_sign(leg[0].name) if mirrored[i] < i else 1.0 for i, leg in enumerate(self.legs)])
+
+    def _joints_above(self, body: str) -> list[Joint]:
+        index = self._bodies[body]
+        while index:
+            found = [j for j in self.joints if self._bodies[j.body] == index]
+            if found:
+                return found
+            index = int(self.model.body_parentid[index])
+        return []
+
+    @cached_property
+    def _bodies(self) -> dict[str, int]:
+        return {body_name(self.model, b): b for b in range(self.model.nbody)}
+
+    # Contacts.
+
+    def contact_sensors(self, bodies: Sequence[str]) -> np.ndarray:
+        """Index in ``sensordata`` of each body's ground-contact count. Shape ``[len(bodies)]``.
+
+        Raises:
+            RobotError: If a body has no ``<contact ... data="found"/>`` sensor.
+        """
+        found = self._contact_sensors
+        missing = [body for body in bodies if body not in found]
+        if missing:
+            raise RobotError(
+                f"{self.path} has no ground-contact sensor for {', '.join(missing)}; add for each "
+                '<sensor><contact body1="NAME" geom2="GROUND" data="found"/></sensor>.'
+            )
+        return np.array([found[body] for body in bodies], dtype=np.int64)
+
+    @property
+    def other_contact_bodies(self) -> tuple[str, ...]:
+        """Bodies with a ground-contact sensor that are not feet: their touch is a fall."""
+        return tuple(body for body in self._contact_sensors if body not in self.feet)
+
+    @cached_property
+    def _contact_sensors(self) -> dict[str, int]:
+        model, found = self.model, {}
+        for i in range(model.nsensor):
+            is_contact = model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT
+            if is_contact and model.sensor_objtype[i] == mujoco.mjtObj.mjOBJ_BODY:
+                found[body_name(model, int(model.sensor_objid[i]))] = int(model.sensor_adr[i])
+        return found
+
+    # Mirror: reflection in the sagittal plane.
+
+    @cached_property
+    def mirror(self) -> dict[str, str]:
+        """Every joint's mirror image; its own if it has none."""
+        last = {leg[-1].name for leg in self.legs if leg}
+        return pair_joints(self.model, self.joints, last, self.base.frame[1])
+
+    def mirror_name(self, name: str) -> str:
+        """The name of the same joint or body on the other side, or ``name`` if it has no side."""
+        if name in self.mirror:
+            return self.mirror[name]
+        other = swap_side(name, self._bodies)
+        if other != name:
+            return other
+        moved = [joint.name for joint in self.joints if joint.body == name]
+        return self.joint(self.mirror[moved[-1]]).body if moved else name
+
+    def mirror_sign(self, name: str) -> float:
+        """+1 if equal angles of a joint mirror each other, -1 if opposite ones do (its axis against its partner's)."""
+        return reflected_sign(self.model, self.joint(name), self.joint(self.mirror[name]), self.base.frame[1])
+
+    @cached_property
+    def mirror_feet(self) -> tuple[int, ...]:
+        """For each foot the index of its mirror image; its own if that is no foot."""
+        ends = [leg[-1].name if leg else None for leg in self.legs]
+        order = []
+        for i, (foot, end) in enumerate(zip(self.feet, ends, strict=True)):
+            other = self.mirror_name(foot)
+            same = [k for k, name in enumerate(ends) if end is not None and name == self.mirror[end]]
+            order.append(self.feet.index(other) if other in self.feet else same[0] if len(same) == 1 else i)
+        return tuple(other if order[other] == i else i for i, other in enumerate(order))
+
+    @cached_property
+    def foot_pairs(self) -> tuple[tuple[int, ...], ...]:
+        """The feet, one or two to a ground node: all of at most two; of more, each with its mirror image."""
+        if len(self.feet) <= 2:
+            return (tuple(range(len(self.feet))),)
+        return tuple((i, other) if other != i else (i,) for i, other in enumerate(self.mirror_feet) if i <= other)
+
+    @cached_property
+    def action_mirror(self) -> tuple[np.ndarray, np.ndarray]:
+        """Permutation and sign with which ``sign * action[..., permutation]`` is the mirrored action. Each ``[A]``.
+
+        Raises:
+            RobotError: If a joint has an actuator and its mirror image has none.
+        """
+        lonely = [name for name in self.actuated if self.mirror[name] not in self.actuated]
+        if lonely:
+            raise RobotError(f"{self.path}: the mirror image of {', '.join(lonely)} has no actuator.")
+        order = [self.actuated.index(self.mirror[name]) for name in self.actuated]
+        sign = [self.mirror_sign(name) for name in self.actuated]
+        return np.array(order), np.array(sign)
+
+    # What the walking task asks for beyond a graph.
+
+    def check_legs(self) -> None:
+        """Raise a :class:`.RobotError` that names a foot that is no leg's end, if there is one."""
+        for foot, leg in zip(self.feet, self.legs, strict=True):
+            if not leg:
+                raise RobotError(
+                    f"{self.path}: foot {foot!r} hangs on no joint, so it is no leg's end; name other feet."
+                )
+
+    def check_walking(self) -> None:
+        """Check that the robot can be taught to walk: a base, position servos, legs and contact sensors.
+
+        Raises:
+            RobotError: If something is missing; the message says what to add.
+        """
+        model, file = self.model, self.path
+        self.base.check_read(file)
+        _ = self.forward, self.vertical
+        for joint in self.joints:
+            if joint.kind != "hinge":
+                raise RobotError(
+                    f"{file}: joint {joint.name!r} of body {joint.body!r} must be a hinge, is a {joint.kind}."
+                )
+        check_servos(model, self.joints, file)
+        self.check_legs()
+        self.contact_sensors(self.feet)
+        check_standing(self.base, [self._bodies[foot] for foot in self.feet], file)
+        _ = self.action_mirror

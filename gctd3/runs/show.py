@@ -1,0 +1,146 @@
+"""Watch a policy walk in a browser: ``python -m gctd3.view run=DIR``."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import logging
+import os
+import platform
+import socket
+import webbrowser
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from omegaconf import DictConfig
+
+from gctd3.training.checkpoint import Checkpoints
+from gctd3.config.command_line import command
+from gctd3.errors import ConfigError, RunError, check_between, check_seed
+from gctd3.viz.live_session import LiveWalk, endless
+from gctd3.runs.load import load_walk
+from gctd3.training.saved_configuration import find_run
+from gctd3.config.build import build
+
+PACKAGES = ("viser", "mjviser")
+SHIPPED = "shipped with gctd3"  # what the policy in the package is called among runs
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """What ``gctd3.view`` is asked to show.
+
+    Attributes:
+        run: Directory of the run; the policy that ships with the library if ``None``.
+        runs: Directory below which there are more to choose from in the browser.
+        seed: Of the first start.
+        endless: Whether only a fall ends the walk; otherwise the task's own endings do.
+        host: Address to listen at.
+        port: To listen at; 0 for any that is free.
+        browser: Whether to open the page in a browser of this machine.
+    """
+
+    run: str | None
+    runs: str = "runs"
+    seed: int = 10_000
+    endless: bool = True
+    host: str = "localhost"
+    port: int = 8080
+    browser: bool = True
+
+    def __post_init__(self) -> None:
+        check_seed("seed", self.seed)
+        check_between(self, 0, 65_535, "port")
+
+
+def open_walk(run: str, settings: ViewSettings) -> LiveWalk:
+    """The policy of one of the :func:`choices`, ready to walk.
+
+    Raises:
+        RunError: If it is no run, or not of the walking task.
+    """
+    policy, robot, env = load_walk(None if run == SHIPPED else run)
+    if settings.endless:
+        env = replace(env, endings=endless(env.endings))
+    return LiveWalk(policy, robot, env, settings.seed)
+
+
+def choices(run: str | None, runs: str) -> list[str]:
+    """The run, then all others with a policy below a directory, newest first, and the one in the package."""
+    there = [path.parent for path in Path(runs).rglob("checkpoints") if path.is_dir()]
+    others = sorted((path for path in there if _has_policy(path)), key=lambda path: path.stat().st_mtime, reverse=True)
+    mine = find_run(run).resolve()
+    found = [str(path) for path in others if path.resolve() != mine]
+    return [SHIPPED, *found] if run is None else [run, *found, SHIPPED]
+
+
+def _has_policy(run: Path) -> bool:
+    with contextlib.suppress(RunError):
+        return Checkpoints(run).best().is_dir()
+    return False
+
+
+def check_packages() -> None:
+    """Raise a :class:`.ConfigError` unless the packages that draw in a browser are installed."""
+    missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ConfigError(f"The viewer needs {' and '.join(missing)}: pip install 'gctd3[view]'.")
+
+
+def check_port(host: str, port: int) -> None:
+    """Raise a :class:`.ConfigError` unless ``host`` can be listened at on ``port``; viser would take another."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            if os.name == "posix":  # as the server itself does, so that a port just left counts as free
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        raise ConfigError(
+            f"port={port} of host={host} cannot be used: {error.strerror}. Choose another, or port=0 for any that is "
+            "free."
+        ) from error
+
+
+def view(settings: ViewSettings) -> None:
+    """Show a walk until Ctrl-C.
+
+    Raises:
+        ConfigError: If a package is missing or the port is in use.
+        RunError: If the run cannot be shown.
+    """
+    check_packages()
+    check_port(settings.host, settings.port)
+    names = choices(settings.run, settings.runs)
+    first = open_walk(names[0], settings)
+    import rich
+    import viser
+
+    from gctd3.viz.browser_panel import Panel
+
+    # One robot is too little work to share; and viser's and its server's announcements are made below.
+    torch.set_num_threads(1)
+    rich.reconfigure(quiet=True)
+    logging.getLogger("websockets").setLevel(logging.WARNING)
+    server = viser.ViserServer(host=settings.host, port=settings.port, label="gctd3", verbose=False)
+    try:
+        loaded = {names[0]: first}
+        panel = Panel(server, lambda run: loaded.pop(run, None) or open_walk(run, settings), names, settings.seed)
+        _announce(settings, server.get_port())
+        with contextlib.suppress(KeyboardInterrupt):
+            panel.run()
+    finally:
+        server.stop()
+
+
+def _announce(settings: ViewSettings, port: int) -> None:
+    url = f"http://{settings.host}:{port}"
+    print(f"{settings.run or f'The policy {SHIPPED}'} walks at {url}; Ctrl-C ends it.", flush=True)
+    screen = platform.system() != "Linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    if settings.browser and not (screen and webbrowser.open(url)):
+        print(
+            f"There is no browser here. From another machine: ssh -L {port}:{settings.host}:{port} "
+            f"{socket.gethostname()}, then open http://localhost:{port} there.",
+            flush=True,
+        )

@@ -1,0 +1,153 @@
+"""The mirror image of what a robot senses and does: reflection in its sagittal (xz) plane, as signed permutations.
+
+Pure NumPy. A robot whose left and right sides are equal moves, after its state and its actions were reflected, as the
+reflection of its motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gctd3.errors import RobotError
+from gctd3.robots.floating_base import EXTRA
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.mirror_pairs import unreflected
+from gctd3.robots.nodes import foot_slots
+from gctd3.robots.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class SignedPermutation:
+    """``reflected[..., i] = sign[i] * values[..., source[i]]``; done twice it changes nothing.
+
+    Attributes:
+        source: Shape ``[D]``, integers.
+        sign: Shape ``[D]``, +1 or -1.
+    """
+
+    source: np.ndarray
+    sign: np.ndarray
+
+    def __post_init__(self) -> None:
+        identity = np.arange(len(self.source))
+        if not (np.array_equal(self.source[self.source], identity) and (self.sign * self.sign[self.source] == 1).all()):
+            raise RobotError(
+                "A reflection done twice must change nothing, got source "
+                f"{self.source.tolist()} and sign {self.sign.tolist()}."
+            )
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """``M`` with ``values @ M`` the reflected values. Shape ``[D, D]``."""
+        matrix = np.zeros((len(self.source), len(self.source)))
+        matrix[self.source, np.arange(len(self.source))] = self.sign
+        return matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Reflection:
+    """How a robot's observations and actions look in the mirror.
+
+    Attributes:
+        features: Features of a node in one frame.
+        frame: Of the nodes' features in one frame, node after node; length ``N * features``.
+        action: Length ``A``.
+        counters: Of what only the critics see; twice as long as there are feet.
+        static: Features of a node behind all frames that never change.
+    """
+
+    features: int
+    frame: SignedPermutation
+    action: SignedPermutation
+    counters: SignedPermutation
+    static: int = 0
+
+    @classmethod
+    def from_robot(cls, robot: Robot, features: int = 2, static: int = 0) -> Reflection:
+        """The reflection of a robot in the walking task.
+
+        Joints change places with their mirror images and their angles and velocities their signs, as the joints' axes
+        ask; a ground node's features are one per foot and change places too; the root's stay, and of the base nodes
+        those keep their sign that lie in the sagittal plane.
+
+        Args:
+            robot: The robot.
+            features: Features of a node in one frame.
+            static: Features of a node behind all frames that never change, as :meth:`.NodeSensor.static` has them.
+
+        Raises:
+            RobotError: If it has a ball joint, or its base can leave the sagittal plane and its joints are not the same
+                on both sides of it.
+        """
+        _check_reflected(robot)
+        graph = KinematicGraph.from_robot(robot)
+        if balls := [name for name, kind in zip(graph.nodes, graph.kinds, strict=True) if kind == "ball"]:
+            raise RobotError(
+                f"{robot.path}: a ball joint's rotation has no reflection here, so replay.mirror and equivariant must "
+                f"be false; ball joints: {', '.join(balls)}."
+            )
+        source = np.arange(graph.num_nodes * features).reshape(graph.num_nodes, features)[list(graph.mirror)]
+        sign = np.ones(source.shape)
+        extra = iter(robot.base.extra)
+        for row, (name, kind) in enumerate(zip(graph.nodes, graph.kinds, strict=True)):
+            if kind == "base":
+                sign[row] = EXTRA[next(extra)]
+            elif kind not in ("root", "ground"):
+                sign[row] = robot.mirror_sign(name)
+        feet, (node, feature) = np.array(robot.mirror_feet), foot_slots(robot).T
+        source[node, feature] = source[node[feet], feature[feet]]
+        hip_sign = [robot.mirror_sign(leg[0].name) for leg in robot.legs]
+        return cls(
+            features=features,
+            frame=SignedPermutation(source.reshape(-1), sign.reshape(-1)),
+            action=SignedPermutation(*robot.action_mirror),
+            # How long each foot has been down, how long each hip has kept its sign.
+            counters=SignedPermutation(
+                np.concatenate([feet, len(feet) + feet]), np.array([1.0] * len(feet) + hip_sign)
+            ),
+            static=static,
+        )
+
+    def nodes(self, width: int) -> SignedPermutation:
+        """Of stacked frames, node after node, each node's frames from the oldest to the newest, then what is static.
+
+        That says which joint a node is, and in the mirror it is the same joint: it stays.
+
+        Args:
+            width: Features of a node over all frames, and those that never change.
+
+        Raises:
+            ValueError: If ``width`` is not a whole number of frames and the static features.
+        """
+        history, rest = divmod(width - self.static, self.features)
+        if rest or history < 1:
+            behind = f" and {self.static} that never change" if self.static else ""
+            raise ValueError(
+                f"Nodes of {self.features} features a frame{behind} cannot be {width} features wide; "
+                "features that never change are for Reflection.from_robot(robot, static=...) to name."
+            )
+        shape = (-1, 1, self.features)
+        node, feature = np.divmod(self.frame.source.reshape(shape), self.features)
+        source = node * width + np.arange(history)[:, None] * self.features + feature
+        sign = np.broadcast_to(self.frame.sign.reshape(shape), source.shape)
+        count = len(source)
+        still = np.arange(count * width).reshape(count, width)[:, history * self.features :]
+        return SignedPermutation(
+            np.concatenate([source.reshape(count, -1), still], axis=1).reshape(-1),
+            np.concatenate([sign.reshape(count, -1), np.ones(still.shape)], axis=1).reshape(-1),
+        )
+
+
+def _check_reflected(robot: Robot) -> None:
+    """A base that stays in the sagittal plane moves alike whatever lies to the left and to the right of it."""
+    if not {"side", "roll", "yaw"} & set(robot.base.coordinates):
+        return
+    odd = unreflected(robot.model, robot.joints, robot.mirror, robot.base.frame[1])
+    if odd:
+        raise RobotError(
+            f"{robot.path} is not the same on its left and its right, so that no motion of it has a mirror image. Set "
+            "replay.mirror=false, and network.equivariant=false if that is on; or mend these joints, whose reflection "
+            f"is neither themselves nor the joint of the other side: {', '.join(odd)}."
+        )

@@ -1,0 +1,1 @@
+"""Training: the loop, its settings, and all that a run writes."""

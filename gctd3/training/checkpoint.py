@@ -1,0 +1,221 @@
+"""What a run leaves behind to be continued, judged and shipped: checkpoints that are whole or not there.
+
+``checkpoints/step-FRAMES`` holds the whole state of a training but the replay's rows, which lie once for all
+checkpoints in ``checkpoints/replay``; ``checkpoints/best-FRAMES`` holds the best policy. Every file has a checksum.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import shutil
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+import gctd3
+from gctd3.data.frame_buffer import FrameBuffer
+from gctd3.errors import RunError
+from gctd3.files import (
+    MANIFEST,
+    check_file,
+    load_tree,
+    new_directory,
+    new_file,
+    read_manifest,
+    save_tree,
+    write_manifest,
+)
+
+if TYPE_CHECKING:
+    from gctd3.data.replay import StackedBuffer
+
+FORMAT = 2  # of a checkpoint; 1 was TorchRL's own
+FOLDER = "checkpoints"
+STATE, POLICY, REPLAY = "state.safetensors", "policy.safetensors", "replay"
+PACKAGES = ("gctd3", "torch", "torchrl", "tensordict", "mujoco", "dm-control", "numpy")
+
+
+def versions(more: Iterable[str] = ()) -> dict[str, str]:
+    """Of the packages that a result depends on, and of ``more``."""
+    found = {}
+    for package in (*PACKAGES, *more):
+        with contextlib.suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found
+
+
+class Checkpoints:
+    """The checkpoints of a run.
+
+    Args:
+        run: The run's directory.
+        keep: How many of the newest to keep.
+        about: What every manifest says besides: the configuration, the graph.
+    """
+
+    def __init__(self, run: Path, keep: int = 2, about: Mapping[str, Any] | None = None) -> None:
+        self.run, self.directory, self.keep = run, run / FOLDER, keep
+        self.about = dict(about or {})
+
+    def save(self, frames: int, state: Mapping[str, Any], replay: FrameBuffer | StackedBuffer) -> None:
+        """Write a checkpoint, then drop the ones before the newest ``keep``.
+
+        Args:
+            frames: Frames collected so far; names and orders the checkpoints.
+            state: Of everything but the replay.
+            replay: What is remembered. Of a :class:`.FrameBuffer` only the rows are written that no checkpoint has.
+        """
+        target = self.directory / f"step-{frames:012d}"
+        if target.exists():
+            return
+        with self._room(), new_directory(target) as aside:
+            parts = self._save_rows(replay) if isinstance(replay, FrameBuffer) else []
+            seal = save_tree(aside / STATE, {**state, "replay": replay.state_dict()})
+            write_manifest(aside, self._manifest(frames, {STATE: seal}, replay=parts))
+        self._drop()
+
+    def save_best(self, frames: int, policy: TensorDictModuleBase, metrics: Mapping[str, float]) -> None:
+        """Write a policy that is better than those before, and drop those."""
+        target = self.directory / f"best-{frames:012d}"
+        if not target.exists():
+            with self._room(), new_directory(target) as aside:
+                seal = save_tree(aside / POLICY, dict(policy.state_dict()))
+                finite = {key: value for key, value in metrics.items() if math.isfinite(value)}
+                write_manifest(aside, self._manifest(frames, {POLICY: seal}, metrics=finite))
+        for other in self.directory.glob("best-*"):
+            if other != target:
+                shutil.rmtree(other)
+
+    def newest(self) -> tuple[dict[str, Any], Iterator[tuple[int, dict[str, Tensor]]]] | None:
+        """State and replay rows of the newest checkpoint that is whole; ``None`` if there is no checkpoint.
+
+        A damaged one is passed over, with a line on stderr.
+
+        Raises:
+            RunError: If all are damaged, or they are of another format.
+        """
+        self._refuse_other_formats()
+        found = sorted(self.directory.glob("step-*"), reverse=True)
+        for path in found:
+            try:
+                manifest = checked(path)
+                for part in manifest["replay"]:
+                    check_file(self.directory / REPLAY / part["file"], part["sha256"])
+                state: dict[str, Any] = load_tree(path / STATE)
+            except RunError as error:
+                print(f"Passed over a checkpoint: {error}", file=sys.stderr)
+                continue
+            rows = ((part["start"], load_tree(self.directory / REPLAY / part["file"])) for part in manifest["replay"])
+            return state, rows
+        if found:
+            raise RunError(f"All {len(found)} checkpoints in {self.directory} are damaged.")
+        return None
+
+    def best(self) -> Path:
+        """The best policy's directory.
+
+        Raises:
+            RunError: If there is none.
+        """
+        self._refuse_other_formats()
+        found = sorted(path for path in self.directory.glob("best-*") if (path / MANIFEST).is_file())
+        if not found:
+            raise RunError(f"No policy in {self.directory}: the run was stopped before its first evaluation.")
+        # Two only if the one before was about to be dropped.
+        return found[-1]
+
+    def forget_after(self, frames: int) -> None:
+        """Drop what is of a later moment than ``frames``, damaged or not: continuing from there makes it again."""
+        for path in (*self.directory.glob("step-*"), *self.directory.glob("best-*")):
+            if int(path.name.partition("-")[2]) > frames:
+                shutil.rmtree(path)
+        self._drop()
+
+    def _manifest(self, frames: int, files: Mapping[str, str], **more: Any) -> dict[str, Any]:  # noqa: ANN401
+        return {"format": FORMAT, "frames": frames, "versions": versions(), "files": dict(files), **self.about, **more}
+
+    def _save_rows(self, buffer: FrameBuffer) -> list[dict[str, Any]]:
+        """Write the rows that are new; the parts that hold all rows of the ring, in order."""
+        folder = self.directory / REPLAY
+        folder.mkdir(parents=True, exist_ok=True)
+        oldest = buffer.total - buffer.filled
+        parts = [part for part in self._parts() if part["stop"] > oldest and part["stop"] <= buffer.total]
+        start = parts[-1]["stop"] if parts else oldest
+        if start < buffer.total:
+            name = f"rows-{start:012d}-{buffer.total:012d}.safetensors"
+            with new_file(folder / name) as aside:
+                seal = save_tree(aside, buffer.rows_between(start, buffer.total))
+            parts.append({"file": name, "start": start, "stop": buffer.total, "sha256": seal})
+        return parts
+
+    def _parts(self) -> list[dict[str, Any]]:
+        """Parts of the replay that the newest checkpoint names."""
+        for path in sorted(self.directory.glob("step-*"), reverse=True):
+            with contextlib.suppress(RunError):
+                return list(read_manifest(path)["replay"])
+        return []
+
+    def _drop(self) -> None:
+        """Delete checkpoints before the newest ones, parts of the replay that none of those names, and leftovers."""
+        for path in self.directory.glob(".*.tmp"):  # of a write that was killed
+            shutil.rmtree(path)
+        paths = sorted(self.directory.glob("step-*"))
+        for path in paths[: -self.keep]:
+            shutil.rmtree(path)
+        named = set()
+        for path in paths[-self.keep :]:
+            with contextlib.suppress(RunError):
+                named |= {part["file"] for part in read_manifest(path)["replay"]}
+        for file in (self.directory / REPLAY).glob("*"):
+            if file.name not in named:
+                file.unlink()
+
+    @contextlib.contextmanager
+    def _room(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise RunError(
+                f"Cannot write a checkpoint to {self.directory}: {error.strerror or error}. What was written before is "
+                f"whole; when there is room again:  python -m gctd3.train resume={self.run}"
+            ) from error
+
+    def _refuse_other_formats(self) -> None:
+        if any(self.directory.glob("checkpoint-*")):
+            raise RunError(
+                f"{self.directory} has checkpoints of format 1, as gctd3 wrote before format {FORMAT}; "
+                "train again, or use the version that wrote them."
+            )
+
+
+def checked(path: Path) -> dict[str, Any]:
+    """The manifest of a checkpoint or policy, once its format and its files are found right.
+
+    Raises:
+        RunError: If it is damaged, or of another format.
+    """
+    manifest = read_manifest(path)
+    if manifest.get("format") != FORMAT:
+        raise RunError(
+            f"{path} has format {manifest.get('format')!r}, written by gctd3 "
+            f"{manifest.get('versions', {}).get('gctd3')!r}; gctd3 {gctd3.__version__} reads format {FORMAT}."
+        )
+    for name, seal in manifest["files"].items():
+        check_file(path / name, seal)
+    return manifest
+
+
+def fit(path: Path, load: Callable[[], object]) -> None:
+    """Call ``load``; what a file holds that does not fit is a :class:`RunError` that names the file."""
+    try:
+        load()
+    except RunError:
+        raise
+    except (RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+        raise RunError(f"{path} does not fit the run's configuration: {error}") from error

@@ -1,0 +1,191 @@
+"""The configuration that a run keeps, and how a later command line may change it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hydra import compose
+from hydra.errors import MissingConfigException
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+import gctd3
+from gctd3.config.build import build
+from gctd3.config.command_line import chooses, ships
+from gctd3.errors import ConfigError, RunError
+from gctd3.files import write_text
+
+if TYPE_CHECKING:
+    from gctd3.training.settings import TrainSettings
+
+CONFIG, OVERRIDES = Path(".hydra") / "config.yaml", Path(".hydra") / "overrides.yaml"
+# What may differ when a run is continued: none of it changes what the run has learnt so far.
+HARMLESS = (
+    "logger",
+    "video",
+    "total_frames",
+    "total_episodes",
+    "time_limit",
+    "threads",
+    "env.threads",
+    "env.check",
+    "device",
+    "keep_checkpoints",
+    "checkpoint_every",
+    "stop_when",
+    "collector.workers",
+    "collector.cpus",
+    "collector.patience",
+    "collector.start_within",
+    "collector.failures",
+    "collector.address",
+    "resume",
+)
+_ELSEWHERE = ("--config-dir", "-cd", "hydra.searchpath")  # where other options may be
+
+
+def find_run(run: str | Path | None) -> Path:
+    """The directory of a run; of the walking biped that ships with the library if it is ``None``."""
+    return Path(run) if run is not None else Path(str(resources.files("gctd3.models"))) / "biped" / "policy"
+
+
+def load_config(run: str | Path) -> DictConfig:
+    """The resolved configuration of a run.
+
+    Raises:
+        RunError: If ``run`` is not the directory of a run.
+    """
+    directory = Path(run)
+    file = directory / CONFIG
+    if not directory.is_dir():
+        raise RunError(f"No run directory at {directory}.")
+    if not file.is_file():
+        raise RunError(f"{directory} is not a run: it has no {CONFIG}. A run is what gctd3.train leaves behind.")
+    try:
+        config = OmegaConf.load(file)
+    except (OmegaConfBaseException, YAMLError, UnicodeDecodeError, OSError) as error:
+        raise _unusable(file, error) from error
+    if not isinstance(config, DictConfig):
+        raise RunError(f"{file} does not hold a mapping.")
+    return config
+
+
+def load_settings(run: str | Path) -> TrainSettings:
+    """The settings that a run was started with.
+
+    Raises:
+        RunError: If ``run`` is not the directory of a run, or one of another version.
+    """
+    from gctd3.training.settings import TrainSettings
+
+    config = load_config(run)
+    try:
+        settings = build(config, trusted=False)
+    except (OmegaConfBaseException, ConfigError) as error:
+        raise _unusable(Path(run) / CONFIG, error) from error
+    if not isinstance(settings, TrainSettings):
+        raise RunError(f"{Path(run) / CONFIG} is not the configuration of a training.")
+    return settings
+
+
+def save_config(run: Path, config: DictConfig, overrides: Sequence[str]) -> None:
+    """Write the resolved configuration and the command line that it came from."""
+    (run / CONFIG).parent.mkdir(parents=True, exist_ok=True)
+    write_text(run / CONFIG, OmegaConf.to_yaml(config, resolve=True))
+    write_text(run / OVERRIDES, OmegaConf.to_yaml(OmegaConf.create(list(overrides))))
+
+
+def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig, list[str]]:
+    """The configuration with which a run is to be continued, and the command line that describes it.
+
+    Args:
+        run: Its directory.
+        root: Name of the root YAML.
+        overrides: Of the new command line.
+
+    Raises:
+        RunError: If they would change what the run is; the message lists the differences.
+    """
+    config, first = load_config(run), command_line(run)
+    own = ("resume", "hydra.run.dir", "hydra.output_subdir")
+    # The run's own choices are said again so that Hydra knows their keys; twice they would be too many.
+    new = [item for item in overrides if item.split("=", 1)[0] not in own and item not in first]
+    if not new:
+        return config, first
+    was, known = _composed(root, first)
+    before, after = flat(was), flat(compose(root, [*known, *new]))
+    difference = {key: after.get(key) for key in {*before, *after} if before.get(key) != after.get(key)}
+    forbidden = sorted(key for key in difference if not _harmless(key))
+    if forbidden:
+        lines = "".join(f"\n  {key}: {before.get(key)!r} -> {difference[key]!r}" for key in forbidden)
+        raise RunError(
+            f"{run} cannot be continued with other settings:{lines}\nMay change: {', '.join(HARMLESS[:-1])}. "
+            "Start a new run for the rest."
+        )
+    for key, value in difference.items():
+        OmegaConf.update(config, key, value, force_add=True)
+    return config, [*first, *new]
+
+
+def choices(run: Path, arguments: Sequence[str]) -> list[str]:
+    """The options that a run's command line chose of groups that ``arguments`` leave alone.
+
+    Their keys are known to Hydra only with them: ``collector.workers`` is there with ``collector=process``. Options of
+    one's own are found only if ``arguments`` say where; the run has kept what they say.
+
+    Raises:
+        RunError: If the run does not say.
+    """
+    chosen = {chooses(argument) for argument in arguments}
+    elsewhere = any(argument.startswith(_ELSEWHERE) for argument in arguments)
+    own = [item for item in command_line(run) if chooses(item) not in {*chosen, None}]
+    return [item for item in own if elsewhere or ships(item)]
+
+
+def _composed(root: str, overrides: list[str]) -> tuple[DictConfig, list[str]]:
+    """What a run's overrides make, without options of one's own that are not found here: the run has what they said."""
+    try:
+        return compose(root, overrides), overrides
+    except MissingConfigException:
+        found = [item for item in overrides if chooses(item) is None or ships(item)]
+        return compose(root, found), found
+
+
+def command_line(run: Path) -> list[str]:
+    """The command line that a run came from.
+
+    Raises:
+        RunError: If the run does not say.
+    """
+    try:
+        items = OmegaConf.load(run / OVERRIDES)
+        if not isinstance(items, ListConfig):
+            raise TypeError("it does not hold a list")
+        return [str(item) for item in items]
+    except (OSError, YAMLError, OmegaConfBaseException, UnicodeDecodeError, TypeError) as error:
+        raise _unusable(run / OVERRIDES, error) from error
+
+
+def _harmless(key: str) -> bool:
+    return any(key == name or key.startswith(f"{name}.") for name in HARMLESS)
+
+
+def flat(config: DictConfig, prefix: str = "") -> dict[str, object]:
+    """Values by their dotted path; lists count as values."""
+    found: dict[str, object] = {}
+    for key in map(str, config):
+        node = config._get_node(key)
+        if isinstance(node, DictConfig) and not node._is_none():
+            found |= flat(node, f"{prefix}{key}.")
+        else:
+            value = config[key]
+            found[f"{prefix}{key}"] = OmegaConf.to_container(value) if OmegaConf.is_config(value) else value
+    return found
+
+
+def _unusable(file: Path, error: Exception) -> RunError:
+    return RunError(f"{file} cannot be used by gctd3 {gctd3.__version__}; it is damaged or of another version: {error}")

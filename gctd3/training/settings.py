@@ -1,0 +1,234 @@
+"""Everything that a training is determined by."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+
+from gctd3.algorithms.base import AlgorithmSettings, Architecture
+from gctd3.data.collector_settings import InlineSettings, ProcessSettings
+from gctd3.data.exploration import ExplorationSettings, Explorer
+from gctd3.data.mirror_augmentation import MirrorAugmentation
+from gctd3.data.replay import ReplaySettings
+from gctd3.envs.factory import MOST_THREADS, EnvSettings
+from gctd3.envs.library import MOST_ROBOTS, LibrarySettings
+from gctd3.envs.simulation import substeps_of
+from gctd3.errors import ConfigError, check_between, check_seed
+from gctd3.nn import Network
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.robot import Robot
+from gctd3.robots.settings import RobotSettings
+from gctd3.tasks.reflection import Reflection
+from gctd3.tasks.reward import Reward
+from gctd3.tasks.walk import FEATURES, WalkingTask
+from gctd3.training.device import check_device, check_index
+from gctd3.training.stop_when import StopWhen
+
+
+@dataclass(frozen=True)
+class EvaluationSettings:
+    """How training judges its policy.
+
+    Attributes:
+        every: Frames between evaluations; there is one at the end in any case, so it may exceed the training.
+        episodes: Episodes of each.
+        seed: Of their starts: the same in every evaluation, and not the training's.
+        reward: Under which they are judged.
+    """
+
+    reward: Reward
+    every: int = 20_000
+    episodes: int = 10
+    seed: int = 1_000
+
+    def __post_init__(self) -> None:
+        check_between(self, 1, math.inf, "every")
+        check_between(self, 1, MOST_ROBOTS, "episodes")
+        check_seed("seed", self.seed)
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """Everything that a training is determined by.
+
+    Attributes:
+        robot: Which robot and graph.
+        env: How it is simulated.
+        reward: For which it trains.
+        algo: The algorithm.
+        network: Its networks.
+        exploration: How it tries things out.
+        replay: What it remembers.
+        evaluation: How it is judged.
+        stop_when: What it has to show.
+        collector: Where the robots are stepped.
+        seed: Of networks, exploration, replay and starts.
+        total_frames: Frames to collect, all robots together.
+        total_episodes: Episodes after which to end, counted as they end; ``None`` for any number.
+        time_limit: Minutes after which this session of the run ends with a checkpoint, to be continued; ``None``: none.
+        steps: Control steps of every robot between updates.
+        updates: Updates after those.
+        device: That networks and replay live on, ``cpu``, ``cuda`` or ``cuda:0`` and so on; robots are on the CPU.
+        threads: Of PyTorch; its own default if ``None``.
+        logger: Where curves go, besides ``progress.csv``.
+        video: Whether policies are filmed when they are evaluated.
+        keep_checkpoints: Newest checkpoints to keep, besides the best policy.
+        checkpoint_every: Seconds between them, at least; more if writing them would take over 3 % of the time.
+        resume: Directory of the run that this continues.
+    """
+
+    robot: RobotSettings
+    env: EnvSettings | LibrarySettings
+    reward: Reward
+    algo: AlgorithmSettings
+    network: Network
+    exploration: ExplorationSettings
+    replay: ReplaySettings
+    evaluation: EvaluationSettings
+    stop_when: StopWhen
+    collector: InlineSettings | ProcessSettings = field(default_factory=InlineSettings)
+    seed: int = 0
+    total_frames: int = 600_000
+    total_episodes: int | None = None
+    time_limit: float | None = None
+    steps: int = 1
+    updates: int = 4
+    device: str = "cpu"
+    threads: int | None = None
+    logger: Literal["csv", "tensorboard", "wandb", "mlflow", "none"] = "tensorboard"
+    video: bool = False
+    keep_checkpoints: int = 2
+    checkpoint_every: float = 30.0
+    resume: str | None = None
+
+    def __post_init__(self) -> None:
+        check_between(self, 1, 10**12, "total_frames", "updates", "keep_checkpoints")
+        check_between(self, 1, 100_000, "steps")
+        if self.total_episodes is not None and self.total_episodes < 1:
+            raise ConfigError(f"total_episodes must be at least 1, or null, got {self.total_episodes}.")
+        if self.time_limit is not None and not self.time_limit > 0:
+            raise ConfigError(f"time_limit must be above 0 minutes, or null, got {self.time_limit}.")
+        if not self.checkpoint_every > 0:
+            raise ConfigError(f"checkpoint_every must be above 0 s, got {self.checkpoint_every}.")
+        check_seed("seed", self.seed)
+        check_device(self.device)
+        if self.threads is not None and self.threads < 1:
+            raise ConfigError(f"threads must be at least 1, or null, got {self.threads}.")
+        check_between(self, 1, MOST_THREADS, "threads")
+        if self.video and isinstance(self.env, LibrarySettings):
+            raise ConfigError("video must be false for a library's task: only the walking task can be drawn.")
+        self._check_frames()
+        if isinstance(self.env, LibrarySettings):
+            self._check_library_task(self.env)
+
+    def _check_library_task(self, env: LibrarySettings) -> None:
+        """What a library's task asks of the robot, replay and networks."""
+        if self.robot.name != RobotSettings.name:
+            raise ConfigError(
+                f"robot.name must be left at {RobotSettings.name} for a library's task, got {self.robot.name!r}: "
+                "the task brings its own robot, to which robot.feet, robot.forward and robot.graph apply."
+            )
+        if self.replay.mirror:
+            raise ConfigError("replay.mirror must be false for a library's task, got true: use replay=plain.")
+        network = self.network
+        if env.static and network.equivariant:
+            raise ConfigError("env.static must be false for an equivariant network, got true.")
+        if env.observation == "flat" and (network.graph_layers or network.readout != "flat" or network.equivariant):
+            raise ConfigError(
+                "env.observation must be nodes for a network that knows the robot's graph, got flat: use network=mlp."
+            )
+
+    @property
+    def batch_steps(self) -> int:
+        """Control steps of every robot that are collected at once."""
+        return self.steps * self.collector.chunk
+
+    @property
+    def batch_frames(self) -> int:
+        """Those of all robots together."""
+        return self.env.num_envs * self.batch_steps
+
+    @property
+    def batch_updates(self) -> int:
+        """Updates after those."""
+        return self.updates * self.collector.chunk
+
+    def _check_frames(self) -> None:
+        """What the numbers of frames ask of one another."""
+        if self.total_frames < self.batch_frames:
+            product = "env.num_envs * steps" + (" * collector.chunk" if self.collector.chunk > 1 else "")
+            raise ConfigError(
+                f"total_frames must be at least {product} = {self.batch_frames}, got {self.total_frames}."
+            )
+        if self.exploration.warmup_frames > self.total_frames:
+            raise ConfigError(
+                f"exploration.warmup_frames must be at most total_frames = {self.total_frames}, got "
+                f"{self.exploration.warmup_frames}: the training would end before it learns."
+            )
+        # The newest n_step of a robot cannot be drawn yet, the oldest history - 1 no longer.
+        least = self.env.num_envs * (self.env.history + self.replay.n_step)
+        if self.replay.storage == "frames" and self.replay.capacity < least:
+            raise ConfigError(
+                f"replay.capacity must be at least env.num_envs * (env.history + replay.n_step) = {least}, "
+                f"got {self.replay.capacity}."
+            )
+        drawn = self.replay.capacity // self.env.num_envs - self.replay.n_step - self.env.history + 1
+        if self.replay.storage == "frames" and drawn * self.env.num_envs < self.replay.batch_size:
+            raise ConfigError(
+                f"replay.capacity must hold a batch: of {self.replay.capacity} of {self.env.num_envs} robots "
+                f"{drawn * self.env.num_envs} can be drawn, replay.batch_size is {self.replay.batch_size}."
+            )
+
+    def check_here(self) -> None:
+        """Check all that only the robot and this machine can tell, before anything is begun.
+
+        Raises:
+            RobotError: If it cannot be used.
+            ConfigError: If a setting does not fit it.
+        """
+        check_index(self.device)
+        self.collector.check_here(self.env.num_envs)
+        robot, env, exploration = self.load_robot(), self.env, self.exploration
+        if isinstance(env, EnvSettings):
+            WalkingTask(robot, self.reward, env.endings, env.control_dt)
+            substeps_of(env.control_dt, robot)
+        if exploration.warmup == "rhythmic" and exploration.frequency[1] > 0.5 / env.control_dt:
+            raise ConfigError(
+                f"exploration.frequency must be at most half a cycle a control step, {0.5 / env.control_dt:g} Hz, "
+                f"got {list(exploration.frequency)}."
+            )
+        Explorer(self.algo.build(self.architecture()).actor, robot, 1, exploration, env.control_dt)
+        if self.replay.mirror:
+            MirrorAugmentation(robot, env.history)
+
+    def load_robot(self) -> Robot:
+        """The robot.
+
+        Raises:
+            RobotError: If it cannot be used.
+        """
+        if isinstance(self.env, LibrarySettings):
+            return self.env.load_robot(self.robot.feet, self.robot.forward)
+        return self.robot.load()
+
+    def architecture(self, device: torch.device | str = "cpu") -> Architecture:
+        """What the networks are built from, to lie on ``device``."""
+        robot = self.load_robot()
+        privileged = 0
+        if self.algo.privileged_critic and isinstance(self.env, EnvSettings):
+            privileged = WalkingTask(robot, self.reward, self.env.endings, self.env.control_dt).num_counters
+        graph, features = None, FEATURES
+        if isinstance(self.env, LibrarySettings):
+            graph, features = self.env.graph, self.env.features
+        return Architecture(
+            graph=graph or KinematicGraph.from_robot(robot, self.robot.graph, self.robot.graph_seed),
+            network=self.network,
+            in_features=features * self.env.history,
+            action_dim=int(robot.model.nu),
+            privileged_dim=privileged,
+            reflection=Reflection.from_robot(robot, FEATURES) if self.network.equivariant else None,
+            device=device,
+        )

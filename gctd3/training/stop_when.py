@@ -1,0 +1,72 @@
+"""Conditions on evaluations: they rank policies, end a training, or let it begin again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from gctd3.errors import ConfigError, suggest
+
+# Of progress.csv.
+COLUMNS = (
+    "frames",
+    "updates",
+    "wall_s",
+    "return_mean",
+    "return_std",
+    "velocity_mean",
+    "distance_mean",
+    "success_rate",
+    "hip_correlation",
+    "stride_hz",
+    "flight_fraction",
+    "diverged",
+    "train_episodes",
+    "restarts",
+)
+
+
+@dataclass(frozen=True)
+class StopWhen:
+    """What an evaluation has to show; it ranks policies, and can end the training.
+
+    Attributes:
+        at_least: Lowest values, by the name of the metric.
+        at_most: Highest values, by the name of the metric.
+        evaluations: Evaluations in a row that must show all of it to end the training; ``None`` to train on.
+        restart_after: Frames without an evaluation that shows all of it after which the training begins again, with
+            new weights and an empty replay: random restarts, against seeds that settle on a bad gait. ``None`` for
+            never.
+    """
+
+    at_least: Mapping[str, float] = field(default_factory=dict)
+    at_most: Mapping[str, float] = field(default_factory=dict)
+    evaluations: int | None = None
+    restart_after: int | None = None
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in (*self.at_least, *self.at_most) if name not in COLUMNS]
+        if unknown:
+            raise ConfigError(
+                f"at_least and at_most know no metric {unknown[0]!r}.{suggest(unknown[0], COLUMNS)} "
+                f"Accepted: {', '.join(COLUMNS)}."
+            )
+        if self.evaluations is not None and self.evaluations < 1:
+            raise ConfigError(f"evaluations must be at least 1, or null, got {self.evaluations}.")
+        if self.restart_after is not None and self.restart_after < 1:
+            raise ConfigError(f"restart_after must be at least 1, or null, got {self.restart_after}.")
+
+    def reached(self, metrics: Mapping[str, float]) -> int:
+        """How many of the conditions hold; an undefined metric meets none."""
+        low = sum(metrics.get(name, math.nan) >= bound for name, bound in self.at_least.items())
+        high = sum(metrics.get(name, math.nan) <= bound for name, bound in self.at_most.items())
+        return low + high
+
+    def all_reached(self, metrics: Mapping[str, float]) -> bool:
+        """Whether all of the conditions hold."""
+        return self.reached(metrics) == len(self.at_least) + len(self.at_most)
+
+    def score(self, metrics: Mapping[str, float]) -> float:
+        """Ranks policies by the conditions that they meet, then by return."""
+        return self.reached(metrics) + (1.0 + math.tanh(metrics["return_mean"] / 1e4)) / 2.0

@@ -1,0 +1,289 @@
+"""Training: collect, remember, update, evaluate, keep the best, and be able to go on later."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl import torchrl_logger
+from tqdm import tqdm
+
+from gctd3.algorithms.base import Algorithm
+from gctd3.data.build_collector import build_collector
+from gctd3.data.exploration import Explorer
+from gctd3.data.finite import check_collected, check_losses
+from gctd3.data.mirror_augmentation import MirrorAugmentation
+from gctd3.data.replay import Replay
+from gctd3.envs.factory import EnvRecipe, EnvSettings, build_env
+from gctd3.errors import NumericalError, WorkerError
+from gctd3.evaluation.rollout import evaluate
+from gctd3.files import new_directory, save_tree, write_manifest
+from gctd3.signals import StopRequest
+from gctd3.training.checkpoint import STATE, Checkpoints, fit
+from gctd3.training.device import pick_device
+from gctd3.training.progress import Counters
+from gctd3.training.rng_state import load_random_state, random_state, seed_all
+from gctd3.training.run_log import RunLog
+from gctd3.training.settings import TrainSettings
+from gctd3.viz.film import FPS, clip
+
+MOST_TIME = 0.03  # share of the wall-clock that checkpoints may take
+POST_MORTEM = "post_mortem"
+
+
+class Trainer:
+    """One training, from its settings to a directory full of results.
+
+    Args:
+        settings: What to do.
+        directory: Where to write.
+        about: What the manifests of checkpoints say besides.
+
+    Attributes:
+        best: Metrics of the best evaluation so far.
+    """
+
+    def __init__(self, settings: TrainSettings, directory: Path, about: Mapping[str, Any] | None = None) -> None:
+        self.settings, self.directory = settings, directory
+        # Its notices of every storage and transform would break into the progress bar.
+        torchrl_logger.setLevel(logging.WARNING)
+        if settings.threads is not None:
+            torch.set_num_threads(settings.threads)
+        # Before the networks, so that their initial weights are the seed's.
+        seed_all(settings.seed)
+        self.robot = settings.load_robot()
+        self.device = pick_device(settings.device)
+        self.algorithm, self.explorer = self._new_learner()
+        env = settings.env
+        mirror = MirrorAugmentation(self.robot, env.history) if settings.replay.mirror else None
+        self.replay = Replay(settings.replay, settings.algo.gamma, env.history, mirror, self.device)
+        recipe = EnvRecipe(self.robot, env, settings.reward)
+        self.collector = build_collector(settings.collector, recipe, settings.batch_steps, settings.seed, self.explorer)
+        threads = env.threads if isinstance(env, EnvSettings) else None
+        judged = env.judging(settings.evaluation.episodes, threads)
+        self.evaluation_env = build_env(self.robot, judged, settings.evaluation.reward, settings.evaluation.seed)
+        graph = settings.architecture().graph
+        said = {"graph": {"nodes": graph.nodes, "edges": graph.edges}, **(about or {})}
+        self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, said)
+        self.log = RunLog(directory, settings.logger)
+        self.counters = Counters(next_evaluation=self._first_evaluation)
+        self.best: dict[str, float] | None = None
+        self._clock = time.monotonic()
+        self._next_save = settings.checkpoint_every
+
+    def _new_learner(self) -> tuple[Algorithm, Explorer]:
+        settings, env = self.settings, self.settings.env
+        algorithm = settings.algo.build(settings.architecture(self.device))
+        exploring = Explorer(algorithm.actor, self.robot, env.num_envs, settings.exploration, env.control_dt)
+        return algorithm, exploring
+
+    @property
+    def _first_evaluation(self) -> int:
+        return max(self.settings.evaluation.every, self.settings.exploration.warmup_frames)
+
+    @property
+    def finished(self) -> bool:
+        """Whether all frames or episodes are there, or enough evaluations in a row showed what they have to."""
+        settings, now = self.settings, self.counters
+        reached = settings.stop_when.evaluations is not None and now.in_a_row >= settings.stop_when.evaluations
+        return reached or self._spent
+
+    @property
+    def _spent(self) -> bool:
+        settings, now = self.settings, self.counters
+        over = now.frames + settings.batch_frames > settings.total_frames
+        return over or now.episodes >= (settings.total_episodes or math.inf)
+
+    def run(self, stop: StopRequest | None = None) -> dict[str, float] | None:
+        """Train until it is finished, ``stop`` is set or ``time_limit`` is over.
+
+        Returns:
+            The metrics of the best evaluation; ``None`` if there was none.
+
+        Raises:
+            NumericalError: If an observation, action, reward or loss is not finite.
+            RunError: If a checkpoint cannot be written.
+            WorkerError: If workers that collect do not last; a checkpoint is written before.
+        """
+        self._clock = began = time.monotonic()
+        limit = math.inf if self.settings.time_limit is None else 60.0 * self.settings.time_limit
+        shown = {"unit": " steps", "unit_scale": True, "smoothing": 0.05, "mininterval": 0.5, "dynamic_ncols": True}
+        with (
+            self.log,
+            contextlib.closing(self.collector),
+            tqdm(total=self.settings.total_frames, initial=self.counters.frames, **shown) as bar,
+        ):
+            try:
+                while not self.finished and not stop and time.monotonic() - began < limit:
+                    self._iterate(bar)
+                    if self._wall() >= self._next_save:
+                        self.save()
+            except WorkerError as error:
+                self.save()
+                raise WorkerError(f"{error}. Continue it:  python -m gctd3.train resume={self.directory}") from error
+            self.save()
+        self.evaluation_env.close(raise_if_closed=False)
+        return self.best
+
+    def _iterate(self, bar: tqdm[Any]) -> None:
+        """Collect, update, and evaluate if it is time."""
+        seen: dict[str, TensorDictBase] = {}
+        try:
+            self._learn(bar, seen)
+        except NumericalError as error:
+            raise self._post_mortem(error, {"collected": self.collector.latest, **seen}) from error
+
+    def _learn(self, bar: tqdm[Any], seen: dict[str, TensorDictBase]) -> None:
+        settings, now = self.settings, self.counters
+        seen["collected"] = collected = self.collector.collect()
+        check_collected(collected)
+        self.replay.extend(collected)
+        metrics: dict[str, Tensor] = {}
+        if not self.explorer.warming_up and self.replay.ready:
+            for _ in range(settings.batch_updates):
+                seen["batch"] = self.replay.sample()
+                metrics = self.algorithm.update(seen["batch"])
+            now.updates += settings.batch_updates
+            check_losses(metrics)
+        now.frames += collected.numel()
+        now.episodes += int(collected["next", "done"].sum())
+        now.diverged += int(collected["next", "diverged"].sum())
+        bar.update(collected.numel())
+        if now.frames < now.next_evaluation and not self._spent:
+            return
+        now.next_evaluation += settings.evaluation.every
+        row = self._evaluate()
+        self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
+        bar.set_postfix(self._postfix(row), refresh=True)
+        now.in_a_row = now.in_a_row + 1 if settings.stop_when.all_reached(row) else 0
+        if now.in_a_row:
+            now.promising = now.frames
+        elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
+            self._begin_again(bar)
+
+    def _begin_again(self, bar: tqdm[Any]) -> None:
+        """New weights, an empty replay, another warm-up; the best policy and the robots stay."""
+        now = self.counters
+        bar.write(
+            f"After {now.frames:,} steps: no evaluation in {now.frames - now.promising:,} met all conditions. "
+            "It begins again with new weights; the best policy is kept."
+        )
+        self.algorithm, self.explorer = self._new_learner()
+        self.collector.follow(self.explorer)
+        self.replay.clear()
+        now.restarts, now.promising = now.restarts + 1, now.frames
+        now.next_evaluation = now.frames + self._first_evaluation
+
+    def _evaluate(self) -> dict[str, float]:
+        settings, now = self.settings, self.counters
+        policy = self.algorithm.policy()
+        result = evaluate(policy, self.evaluation_env, self.robot, settings.evaluation.seed, settings.env.control_dt)
+        metrics: dict[str, float] = {
+            "frames": now.frames,
+            "updates": now.updates,
+            "wall_s": round(self._wall(), 2),
+            "diverged": now.diverged,
+            "train_episodes": now.episodes,
+            "restarts": now.restarts,
+            **result.summary(),
+            **{key: value for key, value in result.gait().items() if key != "episodes"},
+        }
+        if self.best is None or settings.stop_when.score(metrics) > settings.stop_when.score(self.best):
+            self.checkpoints.save_best(now.frames, policy, metrics)
+            self.best = metrics
+        self.log.add_row(metrics)
+        if settings.video and isinstance(settings.env, EnvSettings):
+            self.log.clip(clip(policy, self.robot, settings.env, settings.evaluation.seed), FPS, now.frames)
+        return metrics
+
+    def _wall(self) -> float:
+        return self.counters.wall_s + time.monotonic() - self._clock
+
+    # What is kept, and going on from it.
+
+    def save(self) -> None:
+        """Write a checkpoint."""
+        began = time.monotonic()
+        self.checkpoints.save(self.counters.frames, self.state_dict(), self.replay.buffer)
+        cost = time.monotonic() - began
+        self._next_save = self._wall() + max(self.settings.checkpoint_every, cost / MOST_TIME)
+
+    def restore(self) -> bool:
+        """Go on from the newest checkpoint that is whole.
+
+        Returns:
+            Whether there was one; without, the training starts from its beginning.
+
+        Raises:
+            RunError: If all are damaged or do not fit the settings.
+        """
+        found = self.checkpoints.newest()
+        if found is None:
+            self.checkpoints.forget_after(-1)
+            self.log.restore([], -1)
+            return False
+        state, rows = found
+        path = self.checkpoints.directory
+        fit(path, lambda: self.replay.load_state_dict(state.pop("replay"), rows))
+        fit(path, lambda: self.load_state_dict(state))
+        self.checkpoints.forget_after(self.counters.frames)
+        return True
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that the rest of the training depends on, but the replay."""
+        return {
+            "counters": {**asdict(self.counters), "wall_s": self._wall()},
+            "best": self.best,
+            "rows": self.log.rows,
+            "algorithm": self.algorithm.state_dict(),
+            "explorer": self.explorer.state_dict(),
+            "collector": self.collector.state_dict(),
+            "random": random_state(self.device),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`state_dict`."""
+        self.counters = Counters(**state["counters"])
+        self.best = state["best"]
+        self.log.restore(state["rows"], self.counters.frames)
+        self.algorithm.load_state_dict(state["algorithm"])
+        self.explorer.load_state_dict(state["explorer"])
+        self.collector.load_state_dict(state["collector"])
+        load_random_state(state["random"], self.device)
+        self._clock = time.monotonic()
+        self._next_save = self._wall() + self.settings.checkpoint_every
+
+    def _post_mortem(self, error: NumericalError, seen: Mapping[str, TensorDictBase]) -> NumericalError:
+        """Keep what is needed to find the cause; the error that says where."""
+        target = self.directory / POST_MORTEM
+        said = f"After {self.counters.frames:,} steps and {self.counters.updates:,} updates, {error}."
+        if target.exists():
+            return NumericalError(f"{said} {target} holds what an earlier one left.")
+        with new_directory(target) as aside:
+            for name, batch in seen.items():
+                save_tree(aside / f"{name}.safetensors", batch.to_dict())
+            save_tree(aside / STATE, self.state_dict())
+            write_manifest(aside, {"error": said})
+        return NumericalError(
+            f"{said} The last batch and the whole state are in {target} (gctd3.files.load_tree reads them). "
+            "The newest checkpoint is of an earlier moment; try a lower algo.learning_rate."
+        )
+
+    def _postfix(self, row: Mapping[str, float]) -> dict[str, str]:
+        best = self.best if self.best is not None else row
+        shown = {
+            "updates/s": f"{row['updates'] / max(row['wall_s'], 1e-9):.0f}",
+            "return": f"{row['return_mean']:.0f}",
+            "success": f"{row['success_rate']:.0%}",
+            "best": f"{best['return_mean']:.0f}",
+        }
+        return {**shown, "diverged": str(self.counters.diverged)} if self.counters.diverged else shown

@@ -1,0 +1,1 @@
+"""Pictures: films, plots, drawings of graphs, the browser panel."""

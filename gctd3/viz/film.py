@@ -1,0 +1,241 @@
+"""A walk as pictures: frames with marks on the floor and numbers on top, as a sheet, an animation or a video."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import io
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+from tensordict.nn import TensorDictModuleBase
+
+from gctd3.envs.factory import EnvSettings
+from gctd3.errors import ConfigError, RenderError
+from gctd3.files import new_file
+from gctd3.robots.geometry import lowest_point
+from gctd3.robots.robot import Robot
+from gctd3.viz.live_session import LiveWalk, Moment, foot_geoms
+from gctd3.viz.offscreen import Canvas, find_backend
+
+FPS = 25  # GIF players show 25 frames a second well, 50 badly
+# Where a robot is seen from whose MJCF names no such camera: azimuth from its forward axis, elevation (degrees).
+VIEWS = {"side": (90.0, -8.0), "three_quarter": (130.0, -18.0)}
+CLIP, CLIP_SIZE = 5.0, (320, 240)  # of a training's policies (s; pixels)
+_SHADOW = 1024  # pixels of the shadow map; the shipped MJCFs' 4096 are much for a renderer in software
+MARKS = range(-3, 8)  # metres that are marked, from the last one walked
+_INK, _PAINT = (30, 30, 30), np.array([0.25, 0.27, 0.30, 1.0], np.float32)
+
+
+@dataclass(frozen=True)
+class Walk:
+    """One episode as the simulator saw it: a row for each control step.
+
+    Attributes:
+        qpos: Shape ``[T, nq]``.
+        velocity: Forward, shape ``[T]`` (m/s).
+        position: Distance walked, shape ``[T]`` (m).
+        reward: Shape ``[T]``.
+    """
+
+    qpos: np.ndarray
+    velocity: np.ndarray
+    position: np.ndarray
+    reward: np.ndarray
+
+    @property
+    def total(self) -> np.ndarray:
+        """Return so far, shape ``[T]``."""
+        return np.cumsum(self.reward)
+
+
+def record(
+    policy: TensorDictModuleBase, robot: Robot, settings: EnvSettings, seed: int, most_steps: int | None = None
+) -> Walk:
+    """One episode of a policy under the paper's reward, or its first ``most_steps`` control steps."""
+    live = LiveWalk(policy, robot, settings, seed)
+    rows: list[Moment] = []
+    while not live.now.done and (most_steps is None or len(rows) < most_steps):
+        rows.append(live.step())
+    return Walk(
+        np.stack([row.qpos for row in rows]),
+        np.array([row.velocity for row in rows]),
+        np.array([row.position for row in rows]),
+        np.array([row.reward for row in rows]),
+    )
+
+
+def check_camera(robot: Robot, camera: str) -> None:
+    """Raise a :class:`.ConfigError` unless the robot can be seen from ``camera``."""
+    cameras = [robot.model.camera(i).name for i in range(robot.model.ncam)]
+    if camera not in cameras and camera not in VIEWS:
+        known = ", ".join(dict.fromkeys([*cameras, *VIEWS]))
+        raise ConfigError(f"{robot.path} has no camera {camera!r}; there are {known}.")
+
+
+def draw(
+    walk: Walk,
+    robot: Robot,
+    steps: Sequence[int] | np.ndarray,
+    camera: str,
+    size: tuple[int, int],
+    dt: float,
+    words: bool = True,
+) -> Iterator[Image.Image]:
+    """The frames of ``steps``, each with its time, distance, speed, reward and return, and a mark at every metre.
+
+    Args:
+        walk: Of :func:`record`.
+        robot: Its robot.
+        steps: Rows of the walk.
+        camera: Of the MJCF, or one of :data:`VIEWS`.
+        size: Width and height (pixels).
+        dt: Control period (s).
+        words: Whether numbers are drawn, those of the marks too.
+
+    Raises:
+        ConfigError: If the robot has no such camera.
+        RenderError: If there is nothing to draw with.
+    """
+    check_camera(robot, camera)
+    model, data, font = robot.model, mujoco.MjData(robot.model), ImageFont.load_default(13)
+    origin, total = start_point(robot), walk.total
+    model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, _SHADOW)
+    with Canvas(model, *size) as canvas:
+        for step in steps:
+            data.qpos[:] = walk.qpos[step]
+            mujoco.mj_forward(model, data)
+            canvas.look(data, _camera(robot, data, camera))
+            for metre in MARKS:
+                _mark(canvas.scene, robot, origin, int(walk.position[step]) + metre, words)
+            frame = Image.fromarray(canvas.draw())
+            if words:
+                text = (
+                    f"{(step + 1) * dt:.2f} s   {walk.position[step]:.2f} m   {walk.velocity[step]:.2f} m/s\n"
+                    f"reward {walk.reward[step]:.2f}   return {total[step]:.0f}"
+                )
+                ImageDraw.Draw(frame).text((8, 6), text, fill=_INK, font=font)
+            yield frame
+
+
+def start_point(robot: Robot) -> np.ndarray:
+    """The point of the ground from which distance counts, shape ``[3]`` (m)."""
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.standing_qpos
+    mujoco.mj_kinematics(robot.model, data)
+    feet, root = foot_geoms(robot), data.xpos[robot.base.root]
+    return np.array([root[0], root[1], lowest_point(robot.model, data, feet) if feet else 0.0])
+
+
+def _mark(scene: mujoco.MjvScene, robot: Robot, origin: np.ndarray, metre: int, words: bool) -> None:
+    """A line across the way, with its distance from the start if there are to be ``words``."""
+    if metre < 0 or scene.ngeom + 2 > scene.maxgeom:
+        return
+    forward, side, up = robot.base.frame
+    # A millimetre above the ground, or the two would flicker.
+    place, turn = origin + metre * forward + 1e-3 * up, np.stack([forward, side, up], axis=1)
+    line = scene.geoms[scene.ngeom]
+    half = np.array([0.01 if metre % 5 else 0.025, 0.6, 5e-4])
+    mujoco.mjv_initGeom(line, mujoco.mjtGeom.mjGEOM_BOX, half, place, turn.ravel(), _PAINT)
+    scene.ngeom += 1
+    if words:
+        label = scene.geoms[scene.ngeom]
+        mujoco.mjv_initGeom(label, mujoco.mjtGeom.mjGEOM_LABEL, half, place - half[1] * side, turn.ravel(), _PAINT)
+        label.label = f"{metre} m"
+        scene.ngeom += 1
+
+
+def _camera(robot: Robot, data: mujoco.MjData, name: str) -> mujoco.MjvCamera:
+    camera = mujoco.MjvCamera()
+    for i in range(robot.model.ncam):
+        if robot.model.camera(i).name == name:
+            camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, i
+            return camera
+    forward = robot.base.frame[0]
+    camera.type, camera.distance = mujoco.mjtCamera.mjCAMERA_FREE, 2.0 * robot.model.stat.extent
+    azimuth, camera.elevation = VIEWS[name]
+    camera.azimuth = azimuth + np.degrees(np.arctan2(forward[1], forward[0]))
+    camera.lookat[:] = data.subtree_com[robot.base.root]
+    return camera
+
+
+def sheet(frames: Sequence[Image.Image], columns: int) -> Image.Image:
+    """The frames in rows of ``columns``."""
+    width, height = frames[0].size
+    rows = -(-len(frames) // columns)
+    page = Image.new("RGB", (columns * width, rows * height), "white")
+    for i, frame in enumerate(frames):
+        page.paste(frame, (i % columns * width, i // columns * height))
+    return page
+
+
+def stride(speed: float, dt: float) -> int:
+    """Control steps from one frame of an animation at ``speed`` times real time to the next."""
+    return max(1, round(speed / FPS / dt))
+
+
+def clip(policy: TensorDictModuleBase, robot: Robot, settings: EnvSettings, seed: int) -> list[Image.Image]:
+    """The first :data:`CLIP` seconds of a policy's walk, :data:`FPS` frames a second in real time."""
+    dt = settings.control_dt
+    walk = record(policy, robot, settings, seed, round(CLIP / dt))
+    return list(draw(walk, robot, np.arange(0, len(walk.qpos), stride(1.0, dt)), "side", CLIP_SIZE, dt))
+
+
+def check_film() -> None:
+    """Raise a :class:`.RenderError` unless videos can be drawn and written here."""
+    check_video()
+    find_backend()
+
+
+def check_video() -> None:
+    """Raise a :class:`.RenderError` unless the package that writes videos is installed."""
+    if importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise RenderError("Videos need imageio-ffmpeg: pip install 'gctd3[video]'.")
+
+
+def write_animation(path: Path, frames: Iterator[Image.Image], fps: float) -> None:
+    """Write frames as a ``.gif`` or as a ``.mp4`` (H.264), which is there only once it is whole.
+
+    Raises:
+        RenderError: If the package for videos is missing, or ffmpeg fails.
+    """
+    with new_file(path) as aside:
+        if path.suffix == ".mp4":
+            check_video()
+            _write_mp4(aside, frames, fps)
+        else:
+            aside.write_bytes(gif(frames, fps))
+        with aside.open("rb") as written:
+            os.fsync(written.fileno())
+
+
+def gif(frames: Iterable[Image.Image], fps: float) -> bytes:
+    """Frames as an animated GIF that repeats."""
+    first, *more = frames
+    file = io.BytesIO()
+    first.save(file, format="GIF", save_all=True, append_images=more, duration=round(1000 / fps), loop=0)
+    return file.getvalue()
+
+
+def _write_mp4(path: Path, frames: Iterator[Image.Image], fps: float) -> None:
+    import imageio_ffmpeg
+
+    first = next(frames)
+    # H.264 takes even sizes only.
+    even = ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-f", "mp4"]
+    writer = imageio_ffmpeg.write_frames(
+        str(path), first.size, fps=fps, codec="libx264", macro_block_size=1, output_params=even
+    )
+    try:
+        with contextlib.closing(writer):
+            writer.send(None)
+            writer.send(first.tobytes())
+            for frame in frames:
+                writer.send(frame.tobytes())
+    except OSError as error:
+        raise RenderError(f"ffmpeg could not write {path.name}: {error}") from error

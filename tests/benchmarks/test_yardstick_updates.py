@@ -1,0 +1,173 @@
+"""Our updates against Stable-Baselines3's: the same weights, batches and random draws leave the same behind."""
+
+import importlib
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+from configs import composed
+from scipy import stats
+from tensordict import TensorDict
+from torch import nn
+
+from gctd3.config.build import build
+
+ALGORITHMS = ("td3", "sac", "ddpg")
+UPDATES, BATCH = 6, 64
+SEEN, ACTIONS = 17, 6  # HalfCheetah's
+
+
+@pytest.fixture(autouse=True)
+def _double():
+    """Adam divides a gradient by its size: of one that vanishes, float32 would compare the rounding."""
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(torch.float32)
+
+
+@pytest.fixture
+def recipe(monkeypatch):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    # Theirs turns what it sees into float32.
+    monkeypatch.setattr("stable_baselines3.common.policies.preprocess_obs", lambda seen, *_, **__: seen)
+    return importlib.import_module("yardstick_recipe")
+
+
+def sides(recipe, algo):
+    """Our algorithm and their model as the recipe makes them."""
+    from stable_baselines3.common.logger import Logger
+
+    values = recipe.Recipe(hidden=(24, 16), batch_size=BATCH, capacity=1000, learning_rate=1e-3, tau=0.05)
+    ours = build(composed(*recipe.ours(algo, "halfcheetah", values)))
+    algorithm, model = ours.algo.build(ours.architecture()), recipe.theirs(algo, "halfcheetah", values, seed=0)
+    model.set_logger(Logger(None, []))
+    return algorithm, model
+
+
+def parameters(algorithm, model):
+    """By name: a parameter of ours, those of theirs that hold the same numbers, and how these are put together."""
+    found = {}
+
+    def add(name, params, layers, join):
+        mine = [value for _, value in sorted(params.flatten_keys(".").items())]  # of each layer the bias, the weight
+        theirs = [[getattr(part, kind) for part in layer] for layer in layers for kind in ("bias", "weight")]
+        found.update({f"{name}.{i}": (*pair, join) for i, pair in enumerate(zip(mine, theirs, strict=True))})
+
+    loss, twins = algorithm.loss, len(model.critic.q_networks) == 2
+    critic = "qvalue_network_params" if twins else "value_network_params"
+    for prefix, critics in (("", model.critic), ("target_", model.critic_target)):
+        layers = list(zip(*map(linear, critics.q_networks), strict=True))
+        add(f"{prefix}critic", getattr(loss, prefix + critic), layers, torch.stack if twins else torch.cat)
+    if hasattr(loss, "log_alpha"):
+        # One layer of ours gives mean and deviation, two of theirs.
+        layers = [*([layer] for layer in linear(model.actor.latent_pi)), [model.actor.mu, model.actor.log_std]]
+        add("actor", loss.actor_network_params, layers, torch.cat)
+        found["alpha"] = loss.log_alpha, [model.log_ent_coef], lambda values: values[0].squeeze()
+    else:
+        for prefix, actor in (("", model.actor), ("target_", model.actor_target)):
+            layers = [[layer] for layer in linear(actor.mu)]
+            add(f"{prefix}actor", getattr(loss, f"{prefix}actor_network_params"), layers, torch.cat)
+    return found
+
+
+def linear(network):
+    return [layer for layer in network if isinstance(layer, nn.Linear)]
+
+
+def optimisers(algorithm, model):
+    """Of both, by name."""
+    theirs = {"critic": model.critic.optimizer, "actor": model.actor.optimizer}
+    if "alpha" in algorithm.optimizers:
+        theirs["alpha"] = model.ent_coef_optimizer
+    return {name: (algorithm.optimizers[name], other) for name, other in theirs.items()}
+
+
+def batch():
+    """The same transitions for ours and for theirs; some terminate, some are cut short."""
+    fate = torch.randint(5, (BATCH, 1))
+    terminated, truncated = fate == 0, fate == 1
+    seen, after, action = torch.randn(BATCH, SEEN), torch.randn(BATCH, SEEN), 2 * torch.rand(BATCH, ACTIONS) - 1
+    reward = 3 * torch.randn(BATCH, 1)
+    following = {"nodes": after[:, None], "counters": torch.zeros(BATCH, 0), "reward": reward}
+    following |= {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
+    ours = {"nodes": seen[:, None], "counters": torch.zeros(BATCH, 0), "action": action, "next": following}
+    # What their buffer gives as dones is without those that were cut short.
+    theirs = {"observations": seen, "actions": action, "next_observations": after, "rewards": reward}
+    theirs |= {"dones": terminated.double(), "discounts": None}
+    return TensorDict(ours, [BATCH]).auto_batch_size_(1), SimpleNamespace(**theirs)
+
+
+def differences(algorithm, model):
+    """The largest difference of every parameter, and of what its optimiser remembers of it."""
+    found = {}
+    for name, (mine, theirs, join) in parameters(algorithm, model).items():
+        found[name] = (mine.data - join([parameter.data for parameter in theirs])).abs().max().item()
+        if name.startswith("target_"):
+            continue
+        my_adam, their_adam = optimisers(algorithm, model)[name.split(".")[0]]
+        for key in ("exp_avg", "exp_avg_sq", "step"):
+            if mine not in my_adam.state and not any(parameter in their_adam.state for parameter in theirs):
+                continue
+            values = [their_adam.state[parameter][key] for parameter in theirs]
+            other = join(values) if key != "step" else values[0]
+            found[f"{name} {key}"] = (my_adam.state[mine][key] - other).abs().max().item()
+    return found
+
+
+@pytest.mark.parametrize("algo", ALGORITHMS)
+def test_both_begin_with_weights_of_the_same_distribution(recipe, algo):
+    algorithm, model = sides(recipe, algo)
+    found = {
+        name: (mine.detach(), join(theirs).detach())
+        for name, (mine, theirs, join) in parameters(algorithm, model).items()
+    }
+    for name, (mine, theirs) in found.items():
+        if name == "alpha":
+            assert float(mine) == pytest.approx(float(theirs))
+        elif name.startswith("target_"):
+            for one, other in zip((mine, theirs), found[name.removeprefix("target_")], strict=True):
+                assert torch.equal(one, other), name
+        else:
+            # PyTorch's: weights and biases uniform up to one over the root of what a unit reads.
+            kind, i = name.split(".")
+            reads = found[f"{kind}.{int(i) // 2 * 2 + 1}"][0].shape[-1]
+            for one in (mine, theirs):
+                drawn = one.flatten().numpy() * reads**0.5
+                assert stats.kstest(drawn, stats.uniform(-1, 2).cdf).pvalue > 1e-3, name
+            if kind == "critic" and algo != "ddpg":
+                assert not torch.equal(*mine) and not torch.equal(*theirs)
+
+
+@pytest.mark.parametrize("algo", ALGORITHMS)
+def test_updates_leave_the_same_behind(recipe, algo, monkeypatch):
+    algorithm, model = sides(recipe, algo)
+    for mine, theirs, join in parameters(algorithm, model).values():
+        mine.data.copy_(join([parameter.data for parameter in theirs]))
+    if algo == "sac":
+        # They keep a logarithm finite by adding this to what it is of; ours is written so that it needs nothing.
+        model.actor.action_dist.epsilon = 0.0
+    before = {name: mine.data.clone() for name, (mine, *_) in parameters(algorithm, model).items()}
+    torch.manual_seed(1)
+    for update in range(UPDATES):
+        ours, theirs = batch()
+        here, there = torch.randn(BATCH, ACTIONS), torch.randn(BATCH, ACTIONS)
+
+        def draw_in_turn(*draws):
+            left = list(draws)
+            monkeypatch.setattr("torch.distributions.normal._standard_normal", lambda *_, **__: left.pop(0))
+            torch.manual_seed(update)  # noqa: B023 - called at once
+
+        state = torch.get_rng_state()
+        draw_in_turn(there, here)
+        algorithm.update(ours)
+        draw_in_turn(here, there)
+        monkeypatch.setattr(model.replay_buffer, "sample", lambda *_, **__: theirs)  # noqa: B023 - called at once
+        model.train(1, BATCH)
+        torch.set_rng_state(state)
+        found = differences(algorithm, model)
+        assert max(found.values()) < 1e-9, {name: value for name, value in found.items() if value >= 1e-9}
+    assert algorithm.updates == model._n_updates == UPDATES
+    moved = [not torch.equal(before[name], mine) for name, (mine, *_) in parameters(algorithm, model).items()]
+    assert all(moved)

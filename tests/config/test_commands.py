@@ -1,0 +1,226 @@
+"""What the commands say when what they are told is wrong: one message that names it, exit code 2, nothing done."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from running import command, process, tiny, train
+
+from gctd3.files import read_manifest, write_manifest
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return train(tmp_path_factory.mktemp("trained") / "run")
+
+
+def answer(capsys, name, *arguments):
+    """The one message on stderr of a command that refuses."""
+    capsys.readouterr()
+    assert command(name, *arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and error.count("error: ") == 1 and "Traceback" not in error
+    return error
+
+
+def assert_untrained(directory):
+    assert not [path for path in directory.rglob("*") if path.name in ("progress.csv", "checkpoints")]
+
+
+WRONG = {
+    "algo=gtcd3": ["'algo/gtcd3'", "Did you mean 'gctd3'?", "ddpg, gctd3, sac, td3"],
+    "robot=bipd": ["'robot/bipd'", "Did you mean 'biped'?"],
+    "reward@evaluation.reward=papr": ["'reward/papr'", "Did you mean 'paper'?"],
+    "robot.name=hexapd": ["'hexapd'", "Did you mean 'hexapod'?"],
+    "robot.feet=[foot_lef]": ["'foot_lef'", "Did you mean 'foot_left'?"],
+    "robot.graph=author": ["robot.graph", "Did you mean 'authors'?"],
+    "exploration.warmup_frames=241": ["exploration.warmup_frames must be at most total_frames = 240, got 241"],
+    "exploration.frequency=[1,26]": ["exploration.frequency", "25 Hz", "[1, 26]"],
+    "exploration.noise=[0.1,20]": ["exploration.noise", "<= 10", "[0.1, 20]"],
+    "replay.batch_size=980": ["replay.capacity must hold a batch", "replay.batch_size is 980", "972"],
+    "reward.swing_least=0.5": ["reward.swing_least", "at most swing_most", "0.5 and 0.36"],
+    "network.hidden=[16384,16384]": ["network.hidden", "100,000,000 weights", "268,435,456"],
+    "network.hidden=[99999]": ["network.hidden", "16,384", "[99999]"],
+    "env.history=100000": ["env.history must be at most 1,000, got 100000"],
+    "algo.tau=1e400": ["algo.tau must be a number"],
+    "algo=ppo": ["'algo/ppo'", "ddpg", "gctd3", "sac", "td3"],
+    "experiment=papr": ["'experiment/papr'", "paper"],
+    "algo.learning_rat=1": ["'algo.learning_rat'", "Did you mean 'algo.learning_rate'?", "algo.gamma"],
+    "algo=sac algo.alph=0.1": ["'algo.alph'", "Did you mean 'algo.alpha'?"],
+    "total_frame=9": ["'total_frame'", "Did you mean 'total_frames'?"],
+    "+algo.momentum=0.9": ["'algo.momentum'", "Accepted: learning_rate"],
+    "replay.batch_size=many": ["replay.batch_size", "a whole number", "'many'"],
+    "replay.batch_size=": ["replay.batch_size", "a whole number", "''"],
+    "algo.average_policy=often": ["algo.average_policy", "true or false", "'often'"],
+    "env.num_envs=-3": ["env.num_envs", "at least 1", "-3"],
+    "env.num_envs=0": ["env.num_envs", "at least 1", "0"],
+    "replay.capacity=0": ["replay.capacity", "at least 1", "0"],
+    "network.hidden=[64,0]": ["network.hidden", "at least 1", "[64, 0]"],
+    "evaluation.episodes=0": ["evaluation.episodes", "at least 1", "0"],
+    "total_frames=-1": ["total_frames", "at least", "-1"],
+    "env.control_dt=0.013": ["env.control_dt", "0.005", "0.013"],
+    "robot.graph=ring": ["robot.graph", "tree, authors, edgeless, complete, random", "'ring'"],
+    "robot.name=centipede": ["'centipede'", "biped", ".xml"],
+    "robot.name=nowhere.xml": ["nowhere.xml"],
+    "seed=[": ["seed=["],
+    "seed=99999999999": ["seed must be", "below 2^32", "99999999999"],
+    "+=[]": ["cannot be combined"],
+    "algo=null": ["cannot be combined"],
+    "evaluation.episodes=100000000000": ["evaluation.episodes must be at most 100,000"],
+}
+
+
+@pytest.mark.parametrize("arguments", WRONG)
+def test_a_wrong_command_line_is_answered(capsys, tmp_path, arguments):
+    error = answer(capsys, "train", *tiny(tmp_path / "run", *arguments.split()))
+    assert all(words in error for words in WRONG[arguments]), error
+    assert not list(tmp_path.iterdir())
+
+
+def test_too_little_memory_is_answered(capsys, tmp_path):
+    assert command("train", *tiny(tmp_path / "run", "replay.capacity=1_000_000_000_000")) == 2
+    error = capsys.readouterr().err
+    assert "Traceback" not in error and "error: Not enough memory" in error and "replay.capacity" in error
+
+
+@pytest.mark.parametrize("argument", ["algo=ppo", "env.num_envs=0"])
+def test_a_process_ends_with_2_and_one_message(tmp_path, argument):
+    done = process("train", *tiny(tmp_path / "run", argument))
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ") and "Traceback" not in done.stderr + done.stdout
+    assert_untrained(tmp_path)
+
+
+def test_ctrl_c_ends_a_command_with_a_line(capsys, monkeypatch):
+    def interrupted(*arguments, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gctd3.robots.robot.Robot.from_mjcf", interrupted)
+    assert command("graph", "robot=biped") == 130
+    assert capsys.readouterr().err == "\nInterrupted.\n"
+
+
+def test_output_that_nobody_reads_is_no_error():
+    call = [sys.executable, "-m", "gctd3.graph", "robot=biped"]
+    with subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as cut:
+        cut.stdout.close()
+        assert cut.stderr.read() == b""
+    assert cut.returncode == 141
+
+
+MJCF = {
+    "unclosed": ("<mujoco><worldbody></mujoco>", "not an MJCF"),
+    "no actuator": ("", "no actuator"),
+}
+
+
+@pytest.mark.parametrize("case", MJCF)
+def test_an_unusable_mjcf_is_answered(capsys, tmp_path, robot, case):
+    text, said = MJCF[case]
+    file = tmp_path / "my_robot.xml"
+    file.write_text(text or re.sub("<actuator>.*</actuator>", "", robot.path.read_text(), flags=re.DOTALL))
+    error = answer(capsys, "train", *tiny(tmp_path / "run", f"robot.name={file}"))
+    assert str(file) in error and said in error
+    assert_untrained(tmp_path)
+
+
+def test_an_output_that_cannot_be_written_is_answered(capsys, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    error = answer(capsys, "train", *tiny(tmp_path / "file" / "run"))
+    assert str(tmp_path / "file") in error
+    assert (tmp_path / "file").read_text() == "in the way"
+
+
+def test_a_directory_holds_one_run(capsys, run):
+    before = (run / "progress.csv").read_text(encoding="utf-8")
+    assert f"{run} holds a run already" in answer(capsys, "train", *tiny(run))
+    assert (run / "progress.csv").read_text(encoding="utf-8") == before
+
+
+# Runs that are none.
+
+
+@pytest.fixture
+def broken(run, tmp_path):
+    """A copy of a run, to be broken."""
+    return Path(shutil.copytree(run, tmp_path / "broken"))
+
+
+def of_another_version(run):
+    for manifest in run.glob("checkpoints/*/manifest.json"):
+        write_manifest(manifest.parent, {**read_manifest(manifest.parent), "format": 99})
+
+
+def flip(file):
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+
+
+def rewrite(file, old, new):
+    text = file.read_text()
+    assert text.count(old) == 1
+    file.write_text(text.replace(old, new))
+
+
+CONFIG = Path(".hydra") / "config.yaml"
+BREAK = {
+    "no config": (lambda run: (run / CONFIG).unlink(), "config.yaml"),
+    "not YAML": (lambda run: (run / CONFIG).write_text("a: [1"), "config.yaml"),
+    "another key": (lambda run: rewrite(run / CONFIG, "keep_checkpoints:", "colour:"), "'colour'"),
+    "another network": (lambda run: rewrite(run / CONFIG, "norm: layer", "norm: none"), "best-"),
+    "no checkpoint": (lambda run: shutil.rmtree(run / "checkpoints"), "No policy"),
+    "no tensors": (lambda run: [f.unlink() for f in run.glob("checkpoints/best-*/*.safetensors")], "best-"),
+    "a flipped bit": (lambda run: [flip(f) for f in run.glob("checkpoints/best-*/*.safetensors")], "checksum"),
+    "an old format": (lambda run: (run / "checkpoints" / "checkpoint-000000000240").mkdir(), "format 1"),
+    "another version": (of_another_version, "format 99"),
+}
+
+
+@pytest.mark.parametrize("case", BREAK)
+def test_a_run_that_cannot_be_used_is_answered(capsys, broken, case):
+    damage, said = BREAK[case]
+    damage(broken)
+    error = answer(capsys, "evaluate", f"run={broken}", "episodes=1")
+    assert str(broken) in error and said in error
+    assert not (broken / "evaluation.json").exists()
+
+
+@pytest.mark.parametrize("name", ["evaluate", "export", "render", "view"])
+def test_a_run_that_is_not_there_is_answered(capsys, tmp_path, name):
+    assert str(tmp_path / "nowhere") in answer(capsys, name, f"run={tmp_path / 'nowhere'}")
+    assert "not a run" in answer(capsys, name, f"run={tmp_path}")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "name, argument, said",
+    [
+        ("evaluate", "episodes=0", "episodes must be at least 1, got 0."),
+        ("evaluate", "threads=0", "threads must be at least 1"),
+        ("evaluate", "seed=-1", "seed must be at least 0 and below 2^32, got -1."),
+        ("evaluate", "episode=3", "Did you mean 'episodes'?"),
+        ("export", "episodes=0", "episodes must be at least 1, got 0."),
+        ("export", "max_rate=0", "max_rate must be above 0 rad/s, or null, got 0.0."),
+        ("export", "out=policy.pth", "out must end in .onnx or .pt2, got 'policy.pth'."),
+        ("export", "out=nowhere/policy.onnx", "nowhere"),
+        ("render", "width=0", "width must be at least 1, got 0."),
+        ("render", "height=100000", "height must be at most 16,384, got 100000."),
+        ("render", "out=walk.bmp", "out must end in .png, .gif or .mp4, got 'walk.bmp'."),
+        ("render", "seconds=0", "seconds must be above 0, or null, got 0"),
+        ("render", "out=nowhere/walk.png", "nowhere"),
+        ("render", "camera=behind", "side, three_quarter"),
+        ("view", "port=-1", "port must be at least 0, got -1."),
+        ("view", "port=65536", "port must be at most 65,535, got 65536."),
+    ],
+)
+def test_a_wrong_setting_of_the_other_commands_is_answered(capsys, run, name, argument, said):
+    assert said in answer(capsys, name, f"run={run}", argument)

@@ -1,0 +1,111 @@
+"""What a newcomer reads first: the list of commands, and each one's help, with nothing missing and nothing made up."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+
+from gctd3.__main__ import main, script
+from gctd3.config.command_line import CONF
+from gctd3.config.help import COMMANDS, choices, help_of, keys, overview, summary
+
+ROOTS = {"train": "config"}
+FILES = Path(__file__).parents[2] / "conf"
+PROJECT = (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+
+
+def file(command):
+    return FILES / f"{ROOTS.get(command, command)}.yaml"
+
+
+def test_every_command_is_listed():
+    """A command is a YAML at the root of conf/, a module, a script and a line of the overview."""
+    assert {file(command).name for command in COMMANDS} == {path.name for path in FILES.glob("*.yaml")}
+    scripts = dict(re.findall(r'^([\w-]+) = "gctd3\.__main__:(\w+)"$', PROJECT, flags=re.M))
+    assert scripts == {"gctd3": "main", **{f"gctd3-{command}": "script" for command in COMMANDS}}
+    said = overview()
+    for command in COMMANDS:
+        assert re.search(rf"^  python -m gctd3\.{command} +\w.{{20,90}}$", said, flags=re.M), command
+    assert max(map(len, said.splitlines())) <= 120
+
+
+def leaves(node, prefix=""):
+    for key, value in node.items():
+        if isinstance(value, dict):
+            yield from leaves(value, f"{prefix}{key}.")
+        elif key != "_target_":
+            yield f"{prefix}{key}", value
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_every_key_with_its_default_and_what_it_means(command):
+    plain = yaml.safe_load(file(command).read_text(encoding="utf-8"))
+    expected = dict(leaves({k: v for k, v in plain.items() if k not in ("defaults", "hydra")}))
+    told = {key.name: key for key in keys(command)}
+    assert list(told) == list(expected)
+    said = help_of(command)
+    for name, value in expected.items():
+        assert told[name].value == "..." if value == "???" else yaml.safe_load(told[name].value) == value
+        assert len(told[name].said) > 10 and f"  {name}={told[name].value}" in said
+    defaults = {k: v for item in plain.get("defaults", []) if isinstance(item, dict) for k, v in item.items()}
+    offered = {choice.name: choice for choice in choices(command)}
+    assert set(offered) == {name for name in defaults if not name.startswith("override")}
+    for name, choice in offered.items():
+        assert choice.value == str(defaults[name] or "null")
+        options = sorted(path.stem for path in (FILES / name.split("@")[0]).glob("*.yaml"))
+        assert choice.said.split(": ")[-1] == ", ".join(options)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_examples_of_help_are_command_lines(command):
+    lines = help_of(command).splitlines()
+    examples = [line.strip() for line in lines if line.startswith(f"  python -m gctd3.{command} ")]
+    assert len(examples) >= 2
+    for example in examples:
+        arguments = [word.strip("'") for word in re.split(r"\s{2,}", example)[0].split()[3:] if "=" in word]
+        said = [word for word in arguments if not word.startswith(("resume=", "robot=my_robot")) and "," not in word]
+        with initialize_config_module(CONF, version_base="1.3"):
+            assert OmegaConf.is_config(compose(ROOTS.get(command, command), [a for a in said if "range(" not in a]))
+
+
+def fresh(*arguments):
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True)
+
+
+def test_the_list_and_the_help_need_nothing_heavy():
+    for arguments in ([], ["--help"], ["render", "--help"]):
+        code = (
+            f"import sys, runpy; sys.argv[1:] = {arguments}; runpy.run_module('gctd3', run_name='__main__');"
+            "print([name for name in ('torch', 'hydra', 'mujoco') if name in sys.modules])"
+        )
+        done = fresh("-W", "error", "-c", code)
+        assert done.returncode == 0 and done.stdout.endswith("[]\n") and done.stderr == "", done.stderr
+        assert summary("render") in done.stdout or "Draw" in done.stdout
+
+
+@pytest.mark.parametrize("command", ["train", "graph"])
+def test_help_of_a_module_is_the_same(command, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "90")
+    done = fresh("-m", f"gctd3.{command}", "--help")
+    assert (done.returncode, done.stderr) == (0, "") and done.stdout == help_of(command) + "\n"
+
+
+def test_a_script_knows_its_command_by_its_name(monkeypatch, capsys):
+    for name in ("/usr/bin/gctd3-graph", "gctd3-graph.exe"):
+        monkeypatch.setattr(sys, "argv", [name, "--help"])
+        script()
+        assert capsys.readouterr().out == help_of("graph") + "\n"
+
+
+def test_an_unknown_command_is_answered(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["gctd3", "tarin", "algo=gctd3"])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: There is no command 'tarin'. Did you mean 'train'? Commands: view, ")

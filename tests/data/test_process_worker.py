@@ -1,0 +1,125 @@
+"""Workers in processes of their own: TorchRL's collectors, killed and stopped on the way."""
+
+import copy
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import torch
+from running import Recorded, command, rows, tiny, train
+from tensordict import TensorDict
+from test_worker_collector import tiny_settings
+from torch import nn
+
+from gctd3.data.exploration import Explorer
+from gctd3.data.process_worker import ProcessWorker
+from gctd3.data.worker import Job, Policy
+from gctd3.envs.factory import EnvRecipe
+
+PROCESS = ["collector=process", "collector.chunk=2"]
+
+
+def nobody_is_left():
+    """Whether all processes end soon; one that was killed may take its time on a busy machine."""
+    deadline = time.monotonic() + 60
+    while multiprocessing.active_children() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    return not multiprocessing.active_children()
+
+
+def check_that_it_acts_with_the_weights_that_it_is_sent(start, robot):
+    """A worker that ``start`` makes of a job; its last weights."""
+    settings = tiny_settings("exploration.warmup_frames=0", "exploration.noise=null")
+    actor = settings.algo.build(settings.architecture()).actor
+    share = slice(2, 5)
+    explorer = Explorer(copy.deepcopy(actor).requires_grad_(False), robot, 5, settings.exploration, part=share)
+    recipe = EnvRecipe(robot, settings.env, settings.reward)
+    worker, seen = start(Job(share, 7, 1, settings.batch_steps, recipe, Policy(explorer))), []
+    for scale in (0.1, 1.0):
+        for parameter in actor.parameters():
+            parameter.data.normal_(std=scale)
+        weights = TensorDict.from_module(nn.ModuleDict({"actor": actor})).data.clone()
+        batch = worker.next(weights)
+        assert batch.batch_size == (3, settings.batch_steps)
+        with torch.no_grad():
+            torch.testing.assert_close(batch["action"], actor(batch.select("nodes"))["action"])
+        seen.append(batch)
+    # The second goes on where the first ended, and has not overwritten it.
+    going = ~seen[0]["next", "done"][:, -1, 0]
+    assert going.any()
+    assert torch.equal(seen[0]["next", "nodes"][going, -1], seen[1]["nodes"][going, 0])
+    return worker, weights
+
+
+def test_a_process_acts_with_the_weights_that_it_is_sent(robot):
+    worker, weights = check_that_it_acts_with_the_weights_that_it_is_sent(ProcessWorker, robot)
+    os.kill(worker.pid, signal.SIGKILL)
+    with pytest.raises(RuntimeError, match="exit code -9"):
+        worker.next(weights)
+    worker.close()
+    assert nobody_is_left()
+
+
+class Struck(Recorded):
+    """A trainer one of whose workers is killed, and then the other one stopped."""
+
+    def _learn(self, bar, seen):
+        super()._learn(bar, seen)
+        for frames, number, fault in ((96, 0, signal.SIGKILL), (160, 1, signal.SIGSTOP)):
+            if self.counters.frames == frames:
+                os.kill(self.collector._slots[number].worker.pid, fault)
+
+
+def test_workers_that_die_or_hang_are_replaced_and_the_training_ends_well(tmp_path, capsys):
+    # Its robots begin to walk at once, so that most of the time is the processes' start.
+    run = tmp_path / "run"
+    assert command("train", *tiny(run, *PROCESS, "collector.patience=10"), trainer=Struck) == 0
+    error = capsys.readouterr().err
+    assert "Worker 0 failed (At least one process failed: worker 0 (exit code -9)" in error
+    assert "Worker 1 has delivered nothing for 10 s: another takes its place, and its 2 robots start anew." in error
+    trainer = Recorded.last
+    assert trainer.collector.replaced == 2
+    assert [int(row["frames"]) for row in rows(run)] == [80, 160, 240]
+    # As many updates as frames ask for, past the warm-up: 2 for every step of the 4 robots.
+    assert 2 * (240 - 80) // 4 <= trainer.algorithm.updates <= 2 * (240 - 80) // 4 + 4
+    assert nobody_is_left()
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_run_and_a_resumed_one_ends(tmp_path):
+    first, second = (train(tmp_path / name, *PROCESS) for name in ("first", "second"))
+    assert rows(first, drop=["wall_s"]) == rows(second, drop=["wall_s"])
+    assert command("train", f"resume={first}", "total_frames=320", "collector.workers=1") == 0
+    assert [int(row["frames"]) for row in rows(first)] == [80, 160, 240, 320]
+    assert rows(first, drop=["wall_s"])[:3] == rows(second, drop=["wall_s"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)])
+def test_a_signal_to_all_processes_leaves_a_checkpoint_and_nobody_behind(tmp_path, number, code):
+    run = tmp_path / "run"
+    long = tiny(run, *PROCESS, "total_frames=400_000", "evaluation.every=400_000", "checkpoint_every=0.5")
+    running = subprocess.Popen(
+        [sys.executable, "-m", "gctd3.train", *long], stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 300
+    while not list(run.glob("checkpoints/step-*")):
+        assert time.monotonic() < deadline and running.poll() is None, "no checkpoint"
+        time.sleep(0.1)
+    if number == signal.SIGKILL:
+        running.kill()  # the learner only: its workers have to notice
+    else:
+        os.killpg(running.pid, number)
+    _, error = running.communicate(timeout=120)
+    assert running.returncode == code, error
+    assert "takes its place" not in error and "Traceback" not in error
+    deadline = time.monotonic() + 60
+    while subprocess.run(["pgrep", "-s", str(running.pid)], capture_output=True).stdout:
+        assert time.monotonic() < deadline, "workers live on"
+        time.sleep(0.5)
+    reached = max(int(file.name.removeprefix("step-")) for file in run.glob("checkpoints/step-*"))
+    assert command("train", f"resume={run}", f"total_frames={reached + 400}") == 0

@@ -1,0 +1,244 @@
+"""Exporting a policy: the same actions as PyTorch's, and a contract that says what the robot's file says."""
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from hydra import compose, initialize_config_module
+from running import command
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+import gctd3
+from gctd3 import KinematicGraph, Robot
+from gctd3.deploy.contract import parse_contract, read_contract, robot_hash
+from gctd3.deploy.export import Deterministic, to_onnx, traced
+from gctd3.deploy.robot_contract import describe, sensed
+from gctd3.errors import ContractError, RobotError
+from gctd3.nn import Network
+from gctd3.tasks.reflection import Reflection
+from gctd3.tasks.walk import WalkingTask
+from gctd3.training.saved_configuration import save_config
+
+pytest.importorskip("onnxscript")
+onnx = pytest.importorskip("onnx")
+onnxruntime = pytest.importorskip("onnxruntime")
+
+
+@pytest.fixture(scope="module")
+def states():
+    """10,000 states: half of them on the way of the policy from its start on, half of them anywhere."""
+    env = gctd3.make_env("biped", num_envs=50, seed=3)
+    walked = env.rollout(100, gctd3.load_policy(), break_when_any_done=False)["nodes"].reshape(-1, 8, 10)
+    return torch.cat([walked, 3 * torch.randn(5000, 8, 10)])
+
+
+def difference(file, policy, states):
+    session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
+    with torch.no_grad():
+        action = policy(TensorDict({"nodes": states}, [len(states)]))["action"].numpy()
+    return np.abs(session.run(["action"], {"nodes": states.numpy()})[0] - action).max()
+
+
+def test_actions_are_pytorchs(exported, states):
+    assert len(states) == 10_000
+    assert difference(exported, gctd3.load_policy(), states) <= 1e-5
+    # The comparison can fail: another policy's actions are others.
+    assert difference(exported, gctd3.make_actor(KinematicGraph.from_mjcf("biped")), states) > 0.1
+
+
+def test_the_onnx_file_says_what_it_is(exported):
+    model = onnx.load(exported)
+    onnx.checker.check_model(model, full_check=True)
+    contract = read_contract(exported.with_suffix(".json"))
+    assert [(i.domain, i.version) for i in model.opset_import] == [("", contract.network.opset)]
+    (nodes,), (action,) = model.graph.input, model.graph.output
+    shape = [d.dim_param or d.dim_value for d in nodes.type.tensor_type.shape.dim]
+    assert (nodes.name, shape) == ("nodes", ["batch", 8, 10])
+    assert (action.name, action.type.tensor_type.shape.dim[1].dim_value) == ("action", 6)
+    assert {p.key: p.value for p in model.metadata_props}["gctd3.robot"] == "biped"
+    # Nothing of the machine that it was made on.
+    content = exported.read_bytes()
+    assert str(Path(gctd3.__file__).parent).encode() not in content and b"site-packages" not in content
+    assert [path.name for path in exported.parent.iterdir() if path.stem == "policy"] in (
+        ["policy.onnx", "policy.json"],
+        ["policy.json", "policy.onnx"],
+    )
+
+
+def test_the_contract_says_what_the_robots_file_says(exported, robot):
+    said = json.loads(exported.with_suffix(".json").read_text(encoding="utf-8"))
+    assert (said["format"], said["control_rate_hz"], said["history_frames"]) == (1, 50.0, 5)
+    assert (said["history_order"], said["history_warm_up"]) == ("oldest first", "repeat the first frame")
+    # Section 2.3 of the paper.
+    order = ["body", "hip_right", "hip_left", "knee_right", "knee_left", "ankle_right", "ankle_left", "ground"]
+    assert [node["name"] for node in said["nodes"]] == order
+    readings = [[feature["reading"] for feature in node["features"]] for node in said["nodes"]]
+    assert readings[0] == ["height_m", "velocity_m_s"]
+    assert readings[3] == ["angle_knee_right_rad", "velocity_knee_right_rad_s"]
+    assert readings[7] == ["down_foot_right", "down_foot_left"]
+    # Table 2 and the servos of models/biped/README.md; the action is right hip to left ankle.
+    servos = {servo["actuator"]: servo for servo in said["servos"]}
+    assert list(servos) == ["hip_right", "knee_right", "ankle_right", "hip_left", "knee_left", "ankle_left"]
+    knee = servos["knee_left"]
+    assert (knee["low_rad"], knee["high_rad"], knee["start_rad"]) == (-1.3962, 0.0012, 0.0)
+    gains = ("kp_nm_per_rad", "kd_nm_s_per_rad", "effort_nm", "time_constant_s")
+    assert [[servos[f"{joint}_right"][key] for key in gains] for joint in ("hip", "knee", "ankle")] == [
+        [50.0, 10.0, 30.0, 0.0],
+        [50.0, 3.0, 30.0, 0.0],
+        [63.0, 1.0, 30.0, 0.0],
+    ]
+    # The boom joint is 0.653 m up when the robot is dropped, 0.0235 m lower when it stands.
+    assert said["robot"]["standing_height_m"] == pytest.approx(0.653 - 0.0235)
+    assert said["robot"]["sha256"] == robot_hash(robot.path)
+    assert said["exported_with"]["onnx"] and said["trained_with"]["torch"]
+    assert said["frames_trained"] > 0
+
+
+def test_a_desired_angle_may_change_as_it_does_in_the_walk(exported):
+    """The largest change of a walk from another start is within, and more than half of what is allowed."""
+    env = gctd3.make_env("biped", num_envs=1, seed=5)
+    action = env.rollout(600, gctd3.load_policy())["action"][0]
+    servos = read_contract(exported.with_suffix(".json")).servos
+    low, high, most = np.array([(s.low_rad, s.high_rad, s.most_change_rad) for s in servos]).T
+    change = np.abs(np.diff(action.numpy(), axis=0)).max(axis=0) * (high - low) / 2
+    assert (change <= most).all() and (change > most / 2).all()
+    assert (most < high - low).any()
+
+
+def test_torch_export_holds_policy_and_contract(tmp_path, states):
+    file, extra = tmp_path / "policy.pt2", {"policy.json": ""}
+    assert command("export", f"out={file}", "max_rate=7", "episodes=1", "threads=1") == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["policy.pt2"]
+    network = torch.export.load(file, extra_files=extra).module()
+    expected = gctd3.load_policy()(TensorDict({"nodes": states}, [len(states)]))["action"]
+    assert (network(states) - expected).abs().max() <= 1e-5
+    assert (network(states[:1]) - expected[:1]).abs().max() <= 1e-5
+    contract = parse_contract(extra["policy.json"])
+    # 7 rad/s for 20 ms.
+    assert [servo.most_change_rad for servo in contract.servos] == pytest.approx([0.14] * 6)
+
+
+def plain(graph, reflection):
+    network = Network((8, 8), (16,), norm="layer", graph_norm="layer", residual=True, chebyshev=2, equivariant=True)
+    return gctd3.make_actor(graph, 10, 6, network, reflection)
+
+
+def shared(graph, reflection):
+    return gctd3.make_actor(graph, 10, 6, Network((8, 8), (16,), residual=True, mixing="alternating", readout="joint"))
+
+
+def stochastic(graph, reflection):
+    return gctd3.make_stochastic_actor(graph, 10, 6, Network((), (16,)))
+
+
+@pytest.mark.parametrize("make", [plain, shared, stochastic])
+def test_any_network_can_be_exported(robot, graph, tmp_path, make):
+    policy = make(graph, Reflection.from_robot(robot, 2)).requires_grad_(False).eval()
+    file = tmp_path / "policy.onnx"
+    file.write_bytes(to_onnx(traced(Deterministic(policy).eval(), (8, 10)), contract_of(robot).robot)[0])
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        assert difference(file, policy, torch.randn(500, 8, 10)) <= 1e-5
+        assert difference(file, policy, torch.randn(1, 8, 10)) <= 1e-5
+
+
+def contract_of(robot):
+    return describe(robot, 0.02, 5, np.full(int(robot.model.nu), 0.1), "0" * 64, 1, {}, {})
+
+
+@pytest.mark.parametrize("name", ["biped", "biped_planar", "quadruped", "hexapod"])
+def test_readings_by_name_are_the_tasks_node_features(name):
+    """Each reading taken from MuJoCo under its own name; a free base's angles from its rotation matrix."""
+    robot = Robot.from_mjcf(name)
+    task, model, data = WalkingTask(robot), robot.model, mujoco.MjData(robot.model)
+    rng = np.random.default_rng(0)
+    data.qpos[:] = robot.standing_qpos
+    mujoco.mj_kinematics(model, data)
+    root = model.body(robot.root).id
+    standing = data.xpos[root].copy()
+    for _ in range(20):
+        mujoco.mj_integratePos(model, data.qpos, 0.3 * rng.standard_normal(model.nv), 1.0)
+        data.qvel[:] = rng.standard_normal(model.nv)
+        mujoco.mj_forward(model, data)
+        turn, speed = data.xmat[root].reshape(3, 3), np.zeros(6)
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, root, speed, 0)
+        spin = turn.T @ speed[:3] if robot.base.free else speed[:3]
+        truth = {
+            "height_m": data.xpos[root, 2] - standing[2],
+            "velocity_m_s": speed[3],
+            "side_m": data.xpos[root, 1] - standing[1],
+            "side_rate_m_s": speed[4],
+            "roll_rad": np.arctan2(turn[2, 1], turn[2, 2]),
+            "pitch_rad": np.arcsin(-turn[2, 0]),
+            "yaw_rad": np.arctan2(turn[1, 0], turn[0, 0]),
+            **{f"{axis}_rate_rad_s": rate for axis, rate in zip(("roll", "pitch", "yaw"), spin, strict=True)},
+        }
+        for joint in robot.joints:
+            truth[f"angle_{joint.name}_rad"] = data.joint(joint.name).qpos[0]
+            truth[f"velocity_{joint.name}_rad_s"] = data.joint(joint.name).qvel[0]
+        for foot in robot.feet:
+            truth[f"down_{foot}"] = float(data.sensor(foot).data[0] > 0)
+        nodes = task.node_features(task.measure(data.qpos, data.qvel, data.sensordata))
+        mine = [[truth[f.reading] if f.reading else 0.0 for f in node.features] for node in sensed(robot)]
+        np.testing.assert_allclose(mine, nodes, atol=1e-5)
+        data.qpos[:] = robot.standing_qpos
+
+
+@pytest.mark.parametrize("servo", ['<position gear="2"', '<general biastype="affine" gainprm="9" biasprm="0 -8 0"'])
+def test_a_servo_that_is_told_no_joint_angle_is_refused(robot, tmp_path, servo):
+    text = robot.path.read_text()
+    assert '<position name="hip_left"' in text
+    file = tmp_path / "my.xml"
+    file.write_text(text.replace('<position name="hip_left"', f'{servo} ctrlrange="-1 1" name="hip_left"'))
+    with pytest.raises(RobotError, match=r"must be a <position> servo with a gear of 1"):
+        contract_of(Robot.from_mjcf(file))
+
+
+def test_the_robots_hash_covers_what_it_includes(tmp_path):
+    part, scene = tmp_path / "part.xml", tmp_path / "scene.xml"
+    part.write_bytes(b"<mujoco>\n<worldbody/>\n</mujoco>")
+    scene.write_text('<mujoco><include file="part.xml"/></mujoco>')
+    first = robot_hash(scene)
+    part.write_bytes(b"<mujoco>\r\n<worldbody/>\r\n</mujoco>")
+    assert robot_hash(scene) == first
+    part.write_bytes(b"<mujoco>\n<worldbody />\n</mujoco>")
+    assert robot_hash(scene) != first
+    part.unlink()
+    with pytest.raises(ContractError, match=r"part\.xml"):
+        robot_hash(scene)
+
+
+def test_an_export_that_differs_is_not_written(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("gctd3.deploy.export.to_pt2", lambda program, contract: (b"", lambda states: np.float32(0.0)))
+    assert command("export", f"out={tmp_path / 'policy.pt2'}", "episodes=1", "threads=1") == 2
+    assert re.search(r"error: .* differ from PyTorch's by up to .* nothing was written", capsys.readouterr().err)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_missing_is_named_before_anything_is_done(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("gctd3.deploy.export.find_spec", lambda name: None if name == "onnxscript" else object())
+    assert command("export", f"out={tmp_path / 'policy.onnx'}") == 2
+    assert "needs onnxscript: pip install 'gctd3[export]'" in capsys.readouterr().err
+
+
+def test_a_librarys_task_is_refused(tmp_path, capsys):
+    run = tmp_path / "run"
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        save_config(run, compose("config", ["env=walker_walk"]), [])
+    assert command("export", f"run={run}", f"out={tmp_path / 'policy.pt2'}") == 2
+    assert "was trained on walker-walk: export covers the walking task only" in capsys.readouterr().err
+
+
+def test_contracts_with_a_contradiction_are_refused(robot):
+    contract = contract_of(robot)
+    assert parse_contract(contract.to_json()) == contract
+    network = dataclasses.replace(contract.network, input_shape=(8, 12))
+    with pytest.raises(ContractError, match=r"make \(8, 10\), not network.input_shape"):
+        dataclasses.replace(contract, network=network)
+    with pytest.raises(ContractError, match="low_rad <= start_rad <= high_rad"):
+        dataclasses.replace(contract, servos=(dataclasses.replace(contract.servos[0], low_rad=1.0),))

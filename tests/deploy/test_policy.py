@@ -1,0 +1,218 @@
+"""Running an exported policy as a robot does: by named readings alone, in MuJoCo, and against every wrong reading."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+import gctd3
+from gctd3.deploy.policy import Policy
+from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.errors import ReadingError
+from gctd3.tasks.reward import Reward
+
+pytest.importorskip("onnxruntime")
+PERIOD = 0.02
+
+
+@pytest.fixture
+def policy(exported):
+    return Policy(exported)
+
+
+def still(policy, **changed):
+    """Readings of a robot that stands."""
+    return {**dict.fromkeys(policy.contract.readings, 0.0), "down_foot_right": 1.0, "down_foot_left": True, **changed}
+
+
+class Fixed:
+    """In place of the network: gives these actions in turn, and keeps what it is given."""
+
+    def __init__(self, *actions):
+        self.actions, self.seen = [np.full((1, 6), a, dtype=np.float32) for a in actions], []
+
+    def run(self, names, given):
+        self.seen.append(given["nodes"])
+        return [self.actions[min(len(self.seen), len(self.actions)) - 1]]
+
+
+def with_network(policy, *actions):
+    policy._session = Fixed(*actions)
+    return policy._session
+
+
+# In the loop.
+
+
+def sense(model, data):
+    """Readings of the biped under their names; height counts from standing, 0.0235 m below the reference pose."""
+    readings = {"height_m": data.joint("root_z").qpos[0] + 0.0235, "velocity_m_s": data.joint("root_x").qvel[0]}
+    for side in ("right", "left"):
+        for joint in (f"hip_{side}", f"knee_{side}", f"ankle_{side}"):
+            readings[f"angle_{joint}_rad"] = data.joint(joint).qpos[0]
+            readings[f"velocity_{joint}_rad_s"] = data.joint(joint).qvel[0]
+        readings[f"down_foot_{side}"] = data.sensor(f"foot_{side}").data[0] > 0
+    return readings
+
+
+def walk(policy, robot, start, steps):
+    """Drive MuJoCo through the policy's commands alone; ``qpos`` and commands after each control step."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    data.qpos[:], data.qvel[:] = np.split(start, [model.nq])
+    mujoco.mj_forward(model, data)
+    rows = []
+    for step in range(steps):
+        command = policy.step(sense(model, data), step * PERIOD)
+        for name, angle in command.items():
+            data.actuator(name).ctrl[0] = angle
+        mujoco.mj_step(model, data, 4)
+        rows.append((data.qpos.copy(), np.array(list(command.values()))))
+    return tuple(np.stack(column) for column in zip(*rows, strict=True))
+
+
+def test_the_loop_through_it_is_the_torch_policys(robot, policy):
+    """From the same start to the finish: the same actions, the same way."""
+    env = build_env(robot, EnvSettings(num_envs=1, threads=1), Reward(), 7)
+    state = env.reset()
+    simulation = env.base_env.simulation
+    start = simulation.state[0, 1:].copy()
+    rows = []
+    torch_policy = gctd3.load_policy()
+    while not state["done"].item():
+        state = env.step(torch_policy(state))
+        rows.append((simulation.qpos[0].copy(), simulation.desired(state["action"].numpy().astype(float))[0]))
+        state = state["next"]
+    assert state["success"].item()
+    qpos, desired = (np.stack(column) for column in zip(*rows, strict=True))
+
+    mine, commands = walk(policy, robot, start, len(rows))
+    assert policy.limited == 0
+    assert mine[-1, 0] >= 15.0
+    # The first step's inputs are the same to the bit; then differences of float32 go around the loop.
+    np.testing.assert_allclose(commands[0], desired[0], atol=1e-5)
+    np.testing.assert_allclose(commands[:100], desired[:100], atol=1e-3)
+    np.testing.assert_allclose(mine[:100], qpos[:100], atol=1e-4)
+
+
+def test_history_is_the_environments(robot, policy):
+    """The network gets, bit for bit, what CatFrames makes of the same frames, from the first one on."""
+    network = with_network(policy, 0.0)
+    env = build_env(robot, EnvSettings(num_envs=1, threads=1), Reward(), 0)
+    state, expected = env.reset(), []
+    simulation = env.base_env.simulation
+    for step in range(8):
+        now = simulation.now
+        readings = {"height_m": now.height[0], "velocity_m_s": now.velocity[0]}
+        for i, joint in enumerate(robot.joints):
+            readings[f"angle_{joint.name}_rad"] = now.angles[0, i]
+            readings[f"velocity_{joint.name}_rad_s"] = now.velocities[0, i]
+        for i, foot in enumerate(robot.feet):
+            readings[f"down_{foot}"] = now.feet_down[0, i]
+        policy.step(readings, step * PERIOD)
+        expected.append(state["nodes"].numpy().copy())
+        state = env.step(state.set("action", 2 * torch.rand(1, 6) - 1))["next"]
+    assert all(np.array_equal(a, b) for a, b in zip(network.seen, expected, strict=True))
+    # The first frame stands for those before it.
+    assert np.array_equal(network.seen[0][..., :2], network.seen[0][..., -2:])
+
+
+def test_reset_begins_a_new_walk(policy):
+    first = policy.step(still(policy), 0.0)
+    policy.step(still(policy, velocity_m_s=1.0), PERIOD)
+    policy.reset()
+    assert policy.step(still(policy), 0.0) == first
+
+
+# Limits, by hand: the hip's range is -0.7854 to 0.7854, the knee's -1.3962 to 0.0012.
+
+
+def test_actions_become_angles_within_the_limits(policy):
+    policy._most[:] = 10.0
+    with_network(policy, 0.0, 0.5, -3.0)
+    command = policy.step(still(policy), 0.0)
+    assert list(command) == ["hip_right", "knee_right", "ankle_right", "hip_left", "knee_left", "ankle_left"]
+    assert command["hip_left"] == 0.0 and command["knee_left"] == pytest.approx((-1.3962 + 0.0012) / 2)
+    # A quarter of the range below its upper end.
+    assert policy.step(still(policy), PERIOD)["knee_left"] == pytest.approx(0.0012 - 0.25 * (0.0012 + 1.3962))
+    assert policy.step(still(policy), 2 * PERIOD)["knee_left"] == -1.3962
+    assert policy.limited == 0
+
+
+def test_a_desired_angle_changes_no_faster_than_allowed(policy):
+    policy._most[:] = 0.3
+    with_network(policy, 1.0, 1.0, 1.0, -1.0)
+    hips = [policy.step(still(policy), i * PERIOD)["hip_right"] for i in range(4)]
+    assert hips == pytest.approx([0.3, 0.6, 0.7854, 0.4854])
+    # Held back were the first, the second and the last step, and the knee (from 0 to 0.0012) never before the last.
+    assert policy.limited == 3
+
+
+# What is refused: a message, the last command to hold, and nothing else changed.
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"angle_knee_left_rad": None}, "angle_knee_left_rad must be a finite number, got None"),
+        ({"angle_knee_left_rad": math.nan}, "angle_knee_left_rad must be a finite number, got nan"),
+        ({"velocity_m_s": math.inf}, "velocity_m_s must be a finite number, got inf"),
+        ({"velocity_m_s": 1e300}, "velocity_m_s must be a finite number, got 1e+300"),
+        ({"velocity_m_s": 10**400}, "velocity_m_s must be a finite number, got 1000"),
+        ({"height_m": "0.1"}, "height_m must be a finite number, got '0.1'"),
+        ({"height_m": [0.1, 0.2]}, "height_m must be a finite number"),
+        ({"down_foot_left": 0.5}, "down_foot_left must be 0 or 1, got 0.5"),
+        ({"pitch_rad": 0.0}, "missing none; unknown pitch_rad"),
+        ({"height_m": ..., "down_foot_left": ..., "heigth_m": 0.0}, "missing height_m, down_foot_left; unknown heigth"),
+    ],
+)
+def test_wrong_readings_are_refused(policy, change, said):
+    last = policy.step(still(policy), 0.0)
+    wrong = {key: value for key, value in still(policy, **change).items() if value is not ...}
+    with pytest.raises(ReadingError) as refused:
+        policy.step(wrong, PERIOD)
+    assert said in str(refused.value)
+    assert refused.value.command == last == policy.command
+    # Right ones still come in time.
+    follows = policy.step(still(policy), PERIOD)
+    policy.reset()
+    policy.step(still(policy), 0.0)
+    assert policy.step(still(policy), PERIOD) == follows
+
+
+@pytest.mark.parametrize(
+    ("time", "now", "said"),
+    [
+        (0.0, None, "Stale readings: they are 0.0000 s newer than those before, expected 0.0200 s"),
+        (-0.02, None, "Stale readings: they are -0.0200 s newer"),
+        (0.02, 0.05, "Stale readings: they are 0.0300 s old, expected between 0 and 0.0200 s"),
+        (0.02, 0.01, "Stale readings: they are -0.0100 s old"),
+        (math.nan, None, "time must be finite, got nan"),
+        (0.02, math.nan, "Stale readings: they are nan s old"),
+        (0.06, None, "Steps were missed: the readings are 0.0600 s newer than those before, expected 0.0200 s"),
+    ],
+)
+def test_stale_readings_are_refused(policy, time, now, said):
+    last = policy.step(still(policy), 0.0)
+    with pytest.raises(ReadingError) as refused:
+        policy.step(still(policy), time, now)
+    assert said in str(refused.value)
+    assert refused.value.command == last
+
+
+def test_after_missed_steps_a_new_history_begins(policy):
+    network = with_network(policy, 0.0)
+    policy.step(still(policy), 0.0)
+    with pytest.raises(ReadingError, match="missed"):
+        policy.step(still(policy), 1.0)
+    policy.step(still(policy, height_m=-0.01), 1.02, now=1.03)
+    assert (network.seen[-1][0, 0, ::2] == np.float32(-0.01)).all()
+
+
+def test_an_output_that_is_not_finite_is_refused(policy):
+    with_network(policy, math.nan)
+    with pytest.raises(ReadingError, match="output is not finite") as refused:
+        policy.step(still(policy), 0.0)
+    # Before the first command: the pose in which the robot starts.
+    assert refused.value.command == dict.fromkeys(policy.command, 0.0)

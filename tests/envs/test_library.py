@@ -1,0 +1,239 @@
+"""Training on tasks of dm_control and Gymnasium, and what is said of those that cannot be."""
+
+import json
+import math
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from dm_control import suite
+from running import command, rows, tiny, train
+from tensordict import TensorDict
+
+import gctd3
+from gctd3.envs.factory import build_env
+from gctd3.envs.library import LibrarySettings
+from gctd3.envs.nodes import STATIC, NodeSensor
+from gctd3.errors import ConfigError
+from gctd3.tasks.reward import Reward
+from gctd3.training.saved_configuration import load_settings
+
+# Short episodes would need falls; an evaluation is as long as the task's episodes are.
+FEW = ["env.num_envs=2", "evaluation.episodes=1", "evaluation.every=200", "total_frames=120"]
+WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episodes", "total_frames"]
+
+
+@pytest.mark.parametrize(
+    "env, nodes, actions", [("walker_walk", 9, 6), ("walker2d", 9, 6), ("halfcheetah", 9, 6), ("ant", 15, 8)]
+)
+def test_trains_and_evaluates(tmp_path, env, nodes, actions, capsys):
+    run = train(tmp_path / "run", "algo=gctd3", f"env={env}", *FEW, without=WITHOUT)
+    (row,) = rows(run)
+    assert int(row["frames"]) == 120 and int(row["updates"]) > 0 and math.isfinite(float(row["return_mean"]))
+    assert load_settings(run).stop_when.evaluations is None
+    policy = gctd3.load_policy(run)
+    assert policy(TensorDict({"nodes": torch.randn(3, nodes, 4)}, [3]))["action"].shape == (3, actions)
+    assert command("evaluate", f"run={run}", "episodes=1") == 0
+    report = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
+    assert report["task"] == load_settings(run).env.task
+    # dm_control's rewards lie in [0, 1], and an episode has 1,000 steps.
+    assert 0 <= report["return_mean"] <= 1000 or env != "walker_walk"
+    said = capsys.readouterr().out
+    # Nothing of the paper's, and no command that would refuse this run.
+    assert "380.0" not in said and "gctd3.evaluate run=" in said and "gctd3.view" not in said
+    assert command("render", f"run={run}", f"out={tmp_path / 'walk.png'}") == 2
+    assert "only the walking task can be drawn" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "ddpg"])
+def test_other_algorithms_train_too(tmp_path, algorithm):
+    run = train(tmp_path / "run", f"algo={algorithm}", "env=walker2d", *FEW, without=WITHOUT)
+    settings = load_settings(run)
+    assert settings.exploration.warmup == "uniform" or algorithm == "sac"
+    assert (settings.exploration.noise is None) == (algorithm == "sac")
+
+
+def test_rewards_and_ways_are_the_tasks_own():
+    settings = LibrarySettings("gymnasium", "Walker2d-v5", num_envs=2, history=2)
+    env = build_env(settings.load_robot(), settings, Reward(), seed=5)
+    actions = torch.rand(2, 12, 6, generator=torch.Generator().manual_seed(0)) * 2 - 1
+    state, seen = env.reset(), []
+    theirs = gymnasium.make("Walker2d-v5")
+    assert settings.control_dt == pytest.approx(theirs.unwrapped.dt)
+    # From the state in which ours starts, theirs goes on with the same rewards.
+    theirs.reset()
+    inner = env.base_env.robots[0]._env.unwrapped
+    theirs.unwrapped.set_state(inner.data.qpos.copy(), inner.data.qvel.copy())
+    for t in range(12):
+        state = env.step(state.set("action", actions[:, t]))["next"]
+        _, reward, ended, *_ = theirs.step(actions[0, t].numpy())
+        seen.append(reward)
+        assert state["reward"][0].item() == pytest.approx(reward, abs=1e-4)
+        assert state["position"][0].item() == pytest.approx(theirs.unwrapped.data.qpos[0], abs=1e-4)
+        assert state["counters"].shape == (2, 0) and not state["success"].any()
+        if ended:
+            break
+    assert np.std(seen) > 0 and state["nodes"].shape == (2, 9, 4)
+
+
+def test_dm_controls_period_and_time_limit():
+    settings = LibrarySettings("dm_control", "walker-walk", num_envs=1)
+    assert settings.control_dt == suite.load("walker", "walk").control_timestep() == 0.025
+    env = build_env(settings.load_robot(), settings, Reward(), seed=0)
+    rollout = env.rollout(1001, break_when_any_done=True)
+    assert rollout.shape == (1, 1000)
+    last = rollout["next"][0, -1]
+    assert last["truncated"].item() and not last["terminated"].item()
+
+
+def test_actions_are_scaled_to_the_limits_of_the_task():
+    settings = LibrarySettings("gymnasium", "Humanoid-v5", num_envs=1)
+    env, theirs = build_env(settings.load_robot(), settings, Reward(), seed=0), gymnasium.make("Humanoid-v5")
+    assert theirs.action_space.high.max() == pytest.approx(0.4)
+    state = env.reset()
+    theirs.reset()
+    inner = env.base_env.robots[0]._env.unwrapped
+    theirs.unwrapped.set_state(inner.data.qpos.copy(), inner.data.qvel.copy())
+    for _ in range(5):
+        action = torch.rand(1, 17) * 2 - 1
+        state = env.step(state.set("action", action))["next"]
+        _, reward, *_ = theirs.step(0.4 * action[0].numpy())
+        assert state["reward"].item() == pytest.approx(reward, rel=1e-4)
+    np.testing.assert_allclose(inner.data.qvel, theirs.unwrapped.data.qvel, atol=1e-3)
+
+
+def test_actions_of_dm_control_are_scaled_too():
+    settings = LibrarySettings("dm_control", "quadruped-walk", num_envs=1)
+    env = build_env(settings.load_robot(), settings, Reward(), seed=0)
+    physics = env.base_env.robots[0]._env.physics
+    limits = physics.model.actuator_ctrlrange
+    assert not (limits == [-1, 1]).all()
+    state = env.reset()
+    for end, action in enumerate((-1.0, 1.0)):
+        state = env.step(state.set("action", torch.full((1, len(limits)), action)))["next"]
+        np.testing.assert_allclose(physics.control(), limits[:, end])
+
+
+def test_feet_and_forward_are_those_named(tmp_path, capsys):
+    named = ["env=walker2d", "robot.feet=[foot_left]", "robot.forward=-x"]
+    run = train(tmp_path / "run", "algo=gctd3", *named, *FEW, without=WITHOUT)
+    robot = load_settings(run).load_robot()
+    assert (robot.feet, robot.forward_axis) == (("foot_left",), "-x")
+    assert command("evaluate", f"run={run}", "episodes=1") == 0
+    settings = LibrarySettings("gymnasium", "Walker2d-v5", num_envs=1)
+    assert settings.load_robot().feet == ("foot", "foot_left")
+    ways = []
+    for one in (settings.load_robot(), robot):
+        env = build_env(one, settings, Reward(), seed=0)
+        ways.append(env.step(env.reset().set("action", torch.ones(1, 6)))["next", "position"])
+    assert torch.equal(ways[0], -ways[1]) and ways[0].abs().max() > 0
+    capsys.readouterr()
+    for wrong, message in [
+        ("robot.feet=[nonsense]", "has no body 'nonsense'"),
+        ("robot.feet=[torso]", "foot 'torso' hangs on no joint"),
+        ("robot.name=quadruped", "robot.name must be left at biped for a library's task, got 'quadruped'"),
+        ("robot=my.xml", "got 'my.xml': the task brings its own robot"),
+    ]:
+        wrong = tiny(tmp_path / "wrong", "env=walker2d", wrong, *FEW, without=WITHOUT)
+        assert command("train", *wrong) == 2
+        assert message in capsys.readouterr().err
+        assert not (tmp_path / "wrong").exists()
+
+
+def test_equal_seeds_start_equally():
+    settings = LibrarySettings("gymnasium", "HalfCheetah-v5", num_envs=3)
+    one, again, other = (
+        build_env(settings.load_robot(), settings, Reward(), seed).reset()["nodes"] for seed in (3, 3, 4)
+    )
+    assert torch.equal(one, again) and not torch.equal(one, other) and not torch.equal(one[0], one[1])
+
+
+@pytest.mark.parametrize(
+    "library, task, size", [("gymnasium", "HalfCheetah-v5", 17), ("dm_control", "walker-walk", 24)]
+)
+def test_the_tasks_own_observation(library, task, size):
+    settings = LibrarySettings(library, task, num_envs=2, history=1, observation="flat")
+    assert settings.features == size and settings.graph.nodes == ("observation",)
+    env = build_env(settings.load_robot(), settings, Reward(), seed=0)
+    state = env.reset()
+    action = torch.zeros(2, env.action_spec.shape[-1])
+    for _ in range(3):
+        state = env.step(state.set("action", action))["next"]
+    assert state["nodes"].shape == (2, 1, size)
+    inner = env.base_env.robots[0]._env
+    if library == "gymnasium":
+        theirs = inner.unwrapped._get_obs()
+    else:
+        theirs = np.concatenate([np.ravel(part) for part in inner.task.get_observation(inner.physics).values()])
+    np.testing.assert_allclose(np.sort(state["nodes"][0, 0]), np.sort(theirs), rtol=1e-6)
+    if library == "gymnasium":  # in its order
+        np.testing.assert_allclose(state["nodes"][0, 0], theirs, rtol=1e-6)
+    # What the nodes would have been stands beside it, for the gait.
+    noded = build_env(settings.load_robot(), replace(settings, observation="nodes"), Reward(), seed=0)
+    other = noded.reset()
+    for _ in range(3):
+        other = noded.step(other.set("action", action))["next"]
+    assert torch.equal(state["sensed"], other["nodes"])
+
+
+def test_trains_on_the_tasks_own_observation(tmp_path, capsys):
+    flat = ["env=walker2d", "env.observation=flat", *FEW]
+    run = train(tmp_path / "run", "algo=td3", *flat, without=WITHOUT)
+    policy = gctd3.load_policy(run)
+    assert policy(TensorDict({"nodes": torch.randn(3, 1, 34)}, [3]))["action"].shape == (3, 6)
+    assert command("evaluate", f"run={run}", "episodes=1") == 0
+    for network in ("gcn", "per_joint"):
+        wrong = tiny(tmp_path / network, "algo=td3", f"network={network}", *flat, without=WITHOUT)
+        assert command("train", *wrong) == 2
+        assert "env.observation must be nodes for a network that knows the robot's graph" in capsys.readouterr().err
+
+
+def test_trains_on_nodes_that_say_what_they_are(tmp_path, capsys):
+    static = ["env=walker2d", "env.static=true", *FEW]
+    run = train(tmp_path / "run", "algo=gctd3", *static, without=WITHOUT)
+    settings = load_settings(run)
+    env = build_env(settings.load_robot(), settings.env, Reward(), seed=0)
+    state = env.reset()
+    for _ in range(3):
+        state = env.step(state.set("action", torch.ones(2, 6)))["next"]
+    # Two frames: what is sensed, in which only the newest is watched, and in both the same of what the node is.
+    older, newest = state["nodes"].unflatten(-1, (2, 2 + len(STATIC))).unbind(-2)
+    assert torch.equal(newest[..., :2], state["sensed"]) and not torch.equal(older[..., :2], newest[..., :2])
+    described = torch.from_numpy(NodeSensor(settings.load_robot().model).static())
+    assert torch.equal(older[0, :, 2:], described) and torch.equal(newest[1, :, 2:], described)
+    policy = gctd3.load_policy(run)
+    assert policy(state)["action"].shape == (2, 6)
+    # The policy reads it.
+    other = state.clone()
+    other["nodes"][..., 2:13] += 1.0
+    assert not torch.equal(policy(other)["action"], policy(state)["action"])
+    assert command("evaluate", f"run={run}", "episodes=1") == 0
+    for wrong, message in [
+        (["algo=td3", "network=mlp", "env.observation=flat"], "static must be false for observation=flat"),
+        (["algo=gctd3", "network=equivariant"], "env.static must be false for an equivariant network"),
+    ]:
+        assert command("train", *tiny(tmp_path / "wrong", *static, *wrong, without=WITHOUT)) == 2
+        assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "library, task, message",
+    [
+        ("dm_control", "walker", "dm_control cannot make 'walker'"),
+        ("gymnasium", "Nothing-v0", "gymnasium cannot make 'Nothing-v0'"),
+        ("dm_control", "lqr-lqr_2_1", r"actions of 'lqr-lqr_2_1' must have limits, to be scaled to \[-1, 1\]"),
+        ("gymnasium", "Pendulum-v1", "one MuJoCo robot"),
+    ],
+)
+def test_tasks_that_cannot_be(library, task, message):
+    with pytest.raises(ConfigError, match=message):
+        _ = LibrarySettings(library, task).load_robot()
+
+
+def test_settings_that_do_not_fit(tmp_path, capsys):
+    assert command("train", "env=walker2d", "replay=mirrored", f"hydra.run.dir={tmp_path}") == 2
+    assert "replay.mirror must be false for a library's task" in capsys.readouterr().err
+    with pytest.raises(ConfigError, match="num_envs must be at least 1, got 0"):
+        LibrarySettings("gymnasium", "Ant-v5", num_envs=0)

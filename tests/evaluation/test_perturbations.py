@@ -1,0 +1,184 @@
+"""What is done to a robot and its policy, against hand arithmetic and against MuJoCo's own forces."""
+
+import copy
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from gctd3.envs.factory import make_env
+from gctd3.evaluation.perturbations import (
+    Delayed,
+    Noisy,
+    Shoved,
+    altered,
+    resting_action,
+    sensor_deviation,
+    velocity_change,
+)
+from gctd3.evaluation.recorder import total_mass
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.robot import Robot
+
+
+def momentum(robot, qpos, qvel):
+    """Of the whole robot in the world's axes (N s), as MuJoCo has it."""
+    data = mujoco.MjData(robot.model)
+    data.qpos[:], data.qvel[:] = qpos, qvel
+    mujoco.mj_fwdPosition(robot.model, data)
+    mujoco.mj_fwdVelocity(robot.model, data)
+    mujoco.mj_subtreeVel(robot.model, data)
+    return total_mass(robot) * data.subtree_linvel[robot.model.body(robot.root).id]
+
+
+def pose(robot, seed=0):
+    rng = np.random.default_rng(seed)
+    qpos = robot.model.qpos0.copy()
+    qpos[[joint.qpos for joint in robot.joints]] += rng.uniform(-0.4, 0.4, len(robot.joints))
+    return qpos, rng.normal(size=robot.model.nv)
+
+
+@pytest.mark.parametrize("name", ["biped", "biped_planar", "quadruped"])
+def test_an_impulse_changes_the_momentum_by_as_much(name):
+    robot = Robot.from_mjcf(name)
+    qpos, qvel = pose(robot)
+    for impulse in ([7.0, 0.0, 0.0], [-3.0, 0.0, 2.0]):
+        change = velocity_change(robot, qpos, np.array(impulse))
+        gained = momentum(robot, qpos, qvel + change) - momentum(robot, qpos, qvel)
+        # A boom holds the robot sideways.
+        assert gained == pytest.approx(impulse, abs=1e-9)
+
+
+def test_an_impulse_is_a_great_force_for_a_short_time(robot):
+    qpos, _ = pose(robot)
+    model = copy.copy(robot.model)
+    model.opt.timestep = 1e-6
+    # Nothing else may push: weight, servos, joint limits.
+    off = mujoco.mjtDisableBit
+    model.opt.disableflags |= int(off.mjDSBL_GRAVITY) | int(off.mjDSBL_ACTUATION) | int(off.mjDSBL_CONSTRAINT)
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    data.xfrc_applied[model.body(robot.root).id, 0] = 5.0 / model.opt.timestep
+    mujoco.mj_step(model, data)
+    assert data.qvel == pytest.approx(velocity_change(robot, qpos, np.array([5.0, 0.0, 0.0])), rel=1e-3, abs=1e-4)
+
+
+def test_a_doubled_mass_is_what_mujoco_reports(robot):
+    heavy = altered(robot, mass=2.0)
+    assert total_mass(heavy) == pytest.approx(2 * total_mass(robot))
+    assert total_mass(robot) == pytest.approx(4.02 + 2 * (1.7324 + 0.7527 + 0.4111))
+    qpos, qvel = pose(robot)
+    assert momentum(heavy, qpos, qvel) == pytest.approx(2 * momentum(robot, qpos, qvel))
+    matrices = []
+    for kind in (robot, heavy):
+        data, full = mujoco.MjData(kind.model), np.zeros((kind.model.nv, kind.model.nv))
+        data.qpos[:] = qpos
+        mujoco.mj_forward(kind.model, data)
+        mujoco.mj_fullM(kind.model, data, full)
+        matrices.append(full - np.diag(kind.model.dof_armature))
+    # Inertias too, but not the rotors'.
+    assert matrices[1] == pytest.approx(2 * matrices[0])
+    assert heavy.model.opt.gravity == pytest.approx(robot.model.opt.gravity)
+
+
+def test_half_the_friction_is_what_contacts_have(robot):
+    found = []
+    for kind in (robot, altered(robot, friction=0.5)):
+        data = mujoco.MjData(kind.model)
+        data.qpos[:] = kind.standing_qpos
+        data.qpos[kind.vertical] -= 0.001
+        mujoco.mj_forward(kind.model, data)
+        assert data.ncon > 0
+        found.append(data.contact.friction)
+    assert found[1] == pytest.approx(0.5 * found[0])
+    assert found[0][:, 0] == pytest.approx(1.0)
+
+
+def test_actions_come_late():
+    counted = iter(range(1, 10))
+
+    def policy(state):
+        return state.set("action", torch.full((2, 3), float(next(counted))))
+
+    late = Delayed(policy, 2, torch.tensor([-1.0, 0.0, 1.0]))
+    seen = [late(TensorDict({}, [2]))["action"] for _ in range(4)]
+    assert [action[0].tolist() for action in seen] == [[-1, 0, 1], [-1, 0, 1], [1, 1, 1], [2, 2, 2]]
+
+
+def test_the_resting_action_asks_for_the_start_pose(robot):
+    env = make_env("biped", num_envs=1)
+    asked = env.base_env.simulation.desired(resting_action(robot).numpy()[None].astype(float))
+    assert asked[0] == pytest.approx(np.zeros(6), abs=1e-6)
+
+
+def test_an_error_goes_through_the_stack_with_its_frame(robot):
+    deviation = sensor_deviation(robot, 0.1, 0.2, 0.3, 0.4)
+    seen = []
+
+    def policy(state):
+        seen.append(state["nodes"].clone())
+        return state.set("action", torch.zeros(500, 6))
+
+    noisy = Noisy(policy, deviation, seed=1)
+    states = [TensorDict({"nodes": torch.full((500, 8, 6), float(step))}, [500]) for step in range(3)]
+    for state in states:
+        assert "action" in noisy(state)
+        assert (state["nodes"] == state["nodes"][0, 0, 0]).all()
+    errors = [nodes - step for step, nodes in enumerate(seen)]
+    first = errors[0][..., :2]
+    exact = {"rtol": 0.0, "atol": 1e-6}
+    torch.testing.assert_close(errors[0], first.repeat(1, 1, 3), **exact)
+    torch.testing.assert_close(errors[1][..., :4], errors[0][..., 2:], **exact)
+    torch.testing.assert_close(errors[2][..., :4], errors[1][..., 2:], **exact)
+    assert (errors[1][..., 4:] - errors[0][..., 4:])[:, :7].abs().mean() > 0.01
+    # 500 draws of two features: three frames' worth of spread around what was asked for.
+    assert first.std(dim=0) == pytest.approx(deviation, rel=0.15)
+    again = Noisy(policy, deviation, seed=1)
+    again(states[0])
+    assert (seen[-1] == seen[0]).all()
+
+
+def test_what_errs_by_how_much(robot):
+    rows = dict(zip(KinematicGraph.from_robot(robot).nodes, sensor_deviation(robot, 1, 2, 3, 4).tolist(), strict=True))
+    assert rows["body"] == [3, 4] and rows["ground"] == [0, 0]
+    assert all(rows[joint.name] == [1, 2] for joint in robot.joints)
+    free = Robot.from_mjcf("quadruped")
+    rows = dict(zip(KinematicGraph.from_robot(free).nodes, sensor_deviation(free, 1, 2, 3, 4).tolist(), strict=True))
+    assert len(rows) == len(KinematicGraph.from_robot(free).nodes)
+    turns = [rows[f"{free.root}_{name}"] for name in ("pitch", "roll", "yaw")]
+    assert turns == [[1, 2]] * 3 and rows[f"{free.root}_side"] == [3, 4]
+    assert [rows[joint.name] for joint in free.joints] == [[1, 2]] * 12
+    assert [row for name, row in rows.items() if name.startswith("ground")] == [[0, 0]] * 2
+
+
+def test_shoves_come_when_they_should(robot):
+    """Two robots; the foot is down from steps 0 to 2, in the air to 5, down again from 6 on."""
+    standing = np.tile(robot.model.qpos0, (2, 1))
+    simulation = SimpleNamespace(
+        num_robots=2, task=SimpleNamespace(robot=robot), qpos=standing, qvel=np.zeros((2, robot.model.nv)), now=None
+    )
+    shoved = Shoved(lambda state: state, simulation, [4.0, -2.0], [0, 3], settle=1.0, swing=3)
+    speeds = []
+    for step in range(12):
+        down = np.array([[not 3 <= step <= 5, True]] * 2)
+        # The first touch, at step 0, comes before the metre at which it would count.
+        simulation.now = SimpleNamespace(feet_down=down, position=np.full(2, 0.5 + 0.1 * step))
+        shoved(None)
+        speeds.append(simulation.qvel[:, robot.base.single["forward"].qvel].copy())
+    assert shoved.shoved_at.tolist() == [6, 9]
+    speeds = np.array(speeds)
+    assert (speeds[:6] == 0).all() and (speeds[6:, 0] > 0).all() and (speeds[:9, 1] == 0).all()
+    # Once each, with the one twice as hard and the other way.
+    assert np.ptp(speeds[6:, 0]) == 0 and speeds[-1, 0] == pytest.approx(-2 * speeds[-1, 1])
+
+
+def test_a_bounce_is_no_touchdown(robot):
+    simulation = SimpleNamespace(num_robots=1, task=SimpleNamespace(robot=robot), now=None)
+    shoved = Shoved(lambda state: state, simulation, [4.0], [0], settle=0.0, swing=3)
+    for down in (True, False, False, True, True):
+        simulation.now = SimpleNamespace(feet_down=np.array([[down, True]]), position=np.ones(1))
+        shoved(None)
+    assert shoved.shoved_at.tolist() == [-1]

@@ -1,0 +1,150 @@
+"""What the documentation shows runs, and what it links to is there."""
+
+import doctest
+import importlib
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from robots import TWO_LEGS
+from running import TINY, command, train
+
+from gctd3.config.help import COMMANDS
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", README, flags=re.M | re.S)
+SHELL = "".join(text for language, text in BLOCKS if not language)
+EXTRAS = re.findall(r"^(\w+) = \[", (ROOT / "pyproject.toml").read_text(encoding="utf-8"), flags=re.M)
+PARTS = sorted({part.strip() for line in SHELL.splitlines() for part in line.split("&&")})
+
+
+def test_readme_python_runs(exported, monkeypatch):
+    monkeypatch.chdir(exported.parent)
+    blocks = re.findall(r"^```python\n(.*?)^```", README, flags=re.M | re.S)
+    assert len(blocks) == 3
+    names: dict[str, object] = {}
+    for block in blocks:
+        exec(block, names)
+    assert names["rollout"].batch_size == (64, 100)
+    assert names["envs"].num_envs == 64
+    assert list(names["command"]) == list(names["policy"].command) and len(names["command"]) == 6
+
+
+def test_readme_links_lead_somewhere():
+    links = re.findall(r"\]\((?!https?:)([^)]+)\)", README)
+    assert len(links) >= 5
+    for link in links:
+        assert (ROOT / link).exists(), link
+
+
+@pytest.mark.parametrize("module", ["gctd3.robots.graph", "gctd3.nn.actor", "gctd3.envs.factory"])
+def test_docstring_examples(module):
+    result = doctest.testmod(importlib.import_module(module))
+    assert result.attempted > 0
+    assert result.failed == 0
+
+
+# README's command lines, each where the files are that it names.
+
+RUN, SWEEP = "runs/biped/gctd3/2026-01-31_12-00-00", "multirun/2026-01-31_12-00-00"
+BUDGET = [f"{key}={value}" for key, value in TINY.items()]
+# What is added to a command, so that it takes seconds; the last of two values counts.
+SMALL = {
+    "train": BUDGET,
+    "evaluate": ["episodes=2", "threads=1"],
+    "report": ["episodes=2", "threads=1"],
+    "render": ["width=64", "height=48", "columns=2", "rows=1", "seconds=0.1"],
+    "export": ["episodes=2", "threads=1"],
+    "benchmarks/walk.py": ["seeds=0", "jobs=1", *BUDGET],
+    "benchmarks/yardsticks.py": [
+        "tasks=halfcheetah",
+        "algos=td3",
+        "seeds=0",
+        "steps=300",
+        "random_steps=250",
+        "every=300",
+        "episodes=1",
+    ],
+}
+# What is said in place of something long.
+INSTEAD = {
+    "algo=gctd3,td3,ddpg,sac": "algo=gctd3,td3",
+    "seed=range(5)": "seed=1",
+    "total_frames=1_000_000": "total_frames=320",
+    # Of its twenty runs one, and of its kinds of perturbation the fewest.
+    "experiment=table5": "experiment=table5 algo=gctd3 seed=0",
+    "robustness=true": "robustness=true perturbations.impulses=[5] perturbations.phases=1 perturbations.starts=1",
+}
+NEEDS = {
+    "view": ["mjviser"],
+    "report": ["rliable"],
+    "render": ["imageio_ffmpeg"],
+    "export": ["onnxscript", "onnxruntime"],
+    "benchmarks/yardsticks.py": ["stable_baselines3", "matplotlib"],
+}
+# Run by the continuous integration, in a fresh environment.
+INSTALL = {'pip install -e ".[test]"', "pip install -e .", "pytest"}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with a run that was stopped, a sweep, an MJCF of another robot than any that ships, and its YAML."""
+    root = tmp_path_factory.mktemp("readme")
+    run = train(root / RUN, "total_frames=160")
+    for seed in range(2):
+        one = shutil.copytree(run, root / SWEEP / "gctd3" / str(seed))
+        config = one / ".hydra" / "config.yaml"
+        config.write_text(config.read_text(encoding="utf-8").replace("\nseed: 0\n", f"\nseed: {seed}\n"))
+    for file in (".hydra/config.yaml", ".hydra/overrides.yaml"):
+        text = (run / file).read_text(encoding="utf-8")
+        (run / file).write_text(text.replace("total_frames: 160", "total_frames: 240").replace("=160", "=240"))
+    shutil.copytree(run, root / "DIR")
+    (root / "my.xml").write_text(TWO_LEGS.replace("leg_r", "toe_right").replace("leg_l", "toe_left"))
+    (mine,) = (text for language, text in BLOCKS if language == "yaml")
+    (root / "robots/robot").mkdir(parents=True)
+    (root / "robots/robot/mine.yaml").write_text(mine)
+    return root
+
+
+def test_every_line_of_readme_is_accounted_for():
+    known = [rf"python -m gctd3\.({'|'.join(COMMANDS)})( .+)?", r"python -m gctd3", r"python benchmarks/\w+\.py .+"]
+    known += [rf"pip install 'gctd3\[({'|'.join(EXTRAS)})\]'"]
+    strange = [part for part in PARTS if part not in INSTALL and not any(re.fullmatch(k, part) for k in known)]
+    assert not strange and len(PARTS) >= 15
+    written = (ROOT / ".ci/run").read_text(encoding="utf-8")
+    assert 'pip install -q -e ".[test]"' in written and "\npytest\n" in written
+
+
+@pytest.mark.parametrize("line", [part for part in PARTS if part.startswith("python")])
+def test_a_command_of_readme_runs(line, place, monkeypatch, capfd):
+    monkeypatch.chdir(place)
+    words = [part for word in shlex.split(line) for part in INSTEAD.get(word, word).split(" ")]
+    called = 2 if words[1] == "-m" else 1
+    name, arguments = words[called].removeprefix("gctd3").lstrip("."), words[called + 1 :]
+    for package in NEEDS.get(name, []):
+        pytest.importorskip(package)
+    launcher = next((word.partition("=")[2] for word in words if word.startswith("hydra/launcher=")), "")
+    if launcher in ("ray", "submitit"):
+        pytest.skip("tests/training/test_launchers.py runs it, slowly")
+    resumed = any(word.startswith("resume=") for word in arguments)
+    arguments += [] if resumed else SMALL.get(name, [])
+    if name == "view":
+        call = [sys.executable, "-m", "gctd3.view", *arguments, "port=0", "browser=false"]
+        with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as shown:
+            said = shown.stdout.readline()
+            shown.kill()
+        assert "http://localhost:" in said
+    elif name in COMMANDS:
+        before = set(place.rglob("*"))
+        assert command(name, *arguments) == 0
+        out = [word.partition("=")[2] for word in arguments if word.startswith("out=")]
+        assert all((place / file).exists() for file in out)
+        assert out or name == "evaluate" or set(place.rglob("*")) - before
+    else:
+        script = [str(ROOT / name)] if name else ["-m", "gctd3"]
+        subprocess.run([sys.executable, *script, *arguments], check=True)

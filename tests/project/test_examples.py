@@ -1,0 +1,99 @@
+"""The examples run, say what they are, and use no more of the library than they claim."""
+
+import ast
+import importlib
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from running import TINY, rows
+from torchrl.collectors import Collector
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+NAMES = sorted(file.stem for file in EXAMPLES.glob("*.py"))
+
+
+@pytest.fixture(autouse=True)
+def _examples(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+
+
+def test_there_are_four():
+    assert NAMES == ["ppo_walker", "sac_gymnasium", "transfer", "tune"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_is_short_and_imports_graphs_nodes_and_networks_only(name):
+    text = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8")
+    assert text.count("\n") < 120
+    imported = [node.module for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)]
+    assert {module for module in imported if module.startswith("gctd3")} <= {"gctd3", "gctd3.nn", "gctd3.envs.nodes"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help(name, capsys):
+    if name == "tune":
+        pytest.importorskip("optuna", minversion="4")
+    module = importlib.import_module(name)
+    with pytest.raises(SystemExit) as end:
+        module.main(["--help"])
+    assert end.value.code == 0
+    said = capsys.readouterr().out
+    assert module.__doc__.splitlines()[0] in said and "--frames" in said and "--seed" in said
+
+
+def test_ppo(capsys):
+    main = importlib.import_module("ppo_walker").main
+    few = ["--frames", "64", "--batch", "32", "--minibatch", "16", "--epochs", "2"]
+    learnt, said = main(few), capsys.readouterr().out
+    still, said_still = main([*few, "--learning-rate", "0"]), capsys.readouterr().out
+    assert "right_hip" in said
+    (first, last), (first_still, _) = (
+        [line for line in text.splitlines() if " steps  reward" in line] for text in (said, said_still)
+    )
+    assert f"64 steps  reward a step {learnt:.3f}" in last
+    # The same seed: until the first update they act alike, then only the one whose weights may change has changed.
+    assert first == first_still and learnt != still and math.isfinite(learnt)
+
+
+def test_sac():
+    few = ["--frames", "200", "--warmup", "100", "--batch", "16"]
+    returns = importlib.import_module("sac_gymnasium").main(["--env", "Walker2d-v5", *few])
+    assert returns and all(map(math.isfinite, returns))
+
+
+def test_transfer(tmp_path, monkeypatch):
+    begun = []
+
+    class Watched(Collector):
+        """Keeps the weights with which a training begins, and how long it acts without them."""
+
+        def __init__(self, env, policy, *, init_random_frames, **settings):
+            weights = {name: value.clone() for name, value in policy.state_dict().items()}
+            begun.append((weights, init_random_frames))
+            super().__init__(env, policy, init_random_frames=init_random_frames, **settings)
+
+    monkeypatch.setattr(importlib.import_module("sac_gymnasium"), "Collector", Watched)
+    few = ["--frames", "100", "--warmup", "80", "--batch", "8", "--save", str(tmp_path / "weights.pt")]
+    result = importlib.import_module("transfer").main(["--source", "Walker2d-v5", "--target", "Hopper-v5", *few])
+    assert set(result) == {"transferred", "scratch"} and all(map(math.isfinite, result.values()))
+    # The source's end is the beginning of the one, who acts on it at once, and not of the other.
+    trained = torch.load(tmp_path / "weights.pt", weights_only=True)
+    (source, _), (transferred, random), (scratch, random_scratch) = begun
+    torch.testing.assert_close(transferred, trained, rtol=0, atol=0)
+    assert (random, random_scratch) == (0, 80)
+    for other in (source, scratch):
+        assert any(not torch.equal(other[name], value) for name, value in trained.items())
+
+
+def test_tune_goes_on_where_it_stopped(tmp_path):
+    pytest.importorskip("optuna", minversion="4")
+    settings = [f"{key}={value}" for key, value in TINY.items() if key not in ("total_frames", "updates")]
+    few = ["--frames", "240", "--out", str(tmp_path / "out"), *settings]
+    tune = importlib.import_module("tune").main
+    first = tune(["--trials", "1", *few])
+    assert tune(["--trials", "2", *few]) >= first
+    assert {run.name for run in (tmp_path / "out").glob("trial?")} == {"trial0", "trial1"}
+    best = max(float(row["return_mean"]) for run in (tmp_path / "out").glob("trial?") for row in rows(run))
+    assert tune(["--trials", "2", *few]) == best

@@ -1,0 +1,231 @@
+"""The package: imports that point one way, a light front door, a docstring on everything that is public."""
+
+import ast
+import importlib
+import re
+import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+import gctd3
+
+ROOT = Path(gctd3.__file__).parent
+# Rooms from the bottom up: a module imports from its own room and from those below it. At the top level stand the
+# foundations, which everything may use, and the commands, which nothing may.
+FOUNDATIONS = ("errors", "files", "signals")
+ROOMS = (
+    "config",
+    "robots",
+    "tasks",
+    "envs",
+    "nn",
+    "objectives",
+    "algorithms",
+    "data",
+    "evaluation",
+    "viz",
+    "training",
+    "runs",
+    "deploy",
+    "comparison",
+)
+DOORS = ("train", "evaluate", "view", "render", "export", "graph", "report", "__main__")
+ASSETS = ("conf", "models")  # installed with the package, and not Python
+MOST_FILES, MOST_LINES = 16, 60  # at the top level; of a command
+HEAVY = ("hydra", "dm_control", "torch", "torchrl", "mujoco")
+
+
+def modules(root=ROOT):
+    """Every module of the package but its front door, which imports none of them."""
+    for file in sorted(root.rglob("*.py")):
+        parts = file.relative_to(root).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        if name:
+            yield name, file
+
+
+def floor(module):
+    """How high up a module stands; foundations among themselves are one floor each, in their order."""
+    room = module.split(".")[0]
+    if room in FOUNDATIONS:
+        return FOUNDATIONS.index(room)
+    if room in ROOMS:
+        return len(FOUNDATIONS) + ROOMS.index(room)
+    assert room in DOORS, f"{module} is in no room"
+    return len(FOUNDATIONS) + len(ROOMS)
+
+
+def named(file):
+    """Modules of the package that a file names: imports of any kind, and texts such as import_module takes."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: relative import"
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            names = [node.value] if re.fullmatch(r"gctd3(\.\w+)+", node.value) else []
+        for name in names:
+            inner = name.removeprefix("gctd3.")
+            if inner != name and inner.split(".")[0] not in ASSETS:
+                yield inner
+
+
+def upward(root=ROOT):
+    """What is named from below."""
+    front = {*vars(gctd3)["_HOME"], *vars(gctd3)["_TARGETS"]}
+    rooms = {name.split(".")[0] for name, _ in modules(root)}
+    for name, file in modules(root):
+        for other in named(file):
+            room = other.split(".")[0]
+            # What the front door hands out stands on any floor.
+            if room in front or (room in DOORS and room != name) or (room in rooms and floor(other) > floor(name)):
+                yield f"{name} names {other}"
+
+
+def fresh(code):
+    """What a new interpreter prints."""
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_every_module_has_a_room_and_the_top_level_is_small():
+    for name, file in modules():
+        floor(name)
+        if name in DOORS:
+            assert len(file.read_text(encoding="utf-8").splitlines()) <= MOST_LINES, f"{name} is more than a command"
+    assert len(list(ROOT.glob("*.py"))) <= MOST_FILES
+
+
+def test_imports_point_downwards():
+    assert list(upward()) == []
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [
+        "from gctd3.training.trainer import Trainer",
+        "import gctd3.training.trainer",
+        "def late():\n    from gctd3.training import trainer",
+        'import_module("gctd3.training.trainer")',
+        'SETTINGS = {"_target_": "gctd3.training.settings.TrainSettings"}',
+        'SETTINGS = {"_target_": "gctd3.TrainSettings"}',
+        "from gctd3 import train",
+        "from gctd3 import TrainSettings",
+    ],
+)
+def test_an_upward_import_is_found_however_it_is_written(tmp_path, planted):
+    copy = shutil.copytree(ROOT, tmp_path / "gctd3", ignore=shutil.ignore_patterns("__pycache__"))
+    assert list(upward(copy)) == []
+    with (copy / "nn" / "layers.py").open("a", encoding="utf-8") as file:
+        file.write(f"\n{planted}\n")
+    (found,) = upward(copy)
+    assert found.startswith("nn.layers names ")
+
+
+def test_no_circle_of_imports():
+    """Within a room too: a module that is imported late, or named in a text, counts."""
+    there = {name for name, _ in modules()}
+    arrows = {name: {module_of(other, there) for other in named(file)} & there - {name} for name, file in modules()}
+    while leaves := [name for name, others in arrows.items() if not others & arrows.keys()]:
+        for name in leaves:
+            del arrows[name]
+    assert not arrows, f"a circle among {', '.join(sorted(arrows))}"
+
+
+def module_of(name, there):
+    """The module that a dotted name begins with, if it is one of the package."""
+    while name and name not in there:
+        name = name.rpartition(".")[0]
+    return name
+
+
+def test_yaml_names_the_front_door():
+    """What a ``_target_`` names is written into runs, and has to outlive moves of what it stands for."""
+    files = [
+        *Path(gctd3.__file__).parents[1].glob("conf/**/*.yaml"),
+        *Path(gctd3.__file__).parents[1].glob("models/**/*.yaml"),
+    ]
+    assert len(files) > 50
+    targets = {t for f in files for t in re.findall(r"_target_: *([\w.]+)", f.read_text(encoding="utf-8"))}
+    ours = {target.removeprefix("gctd3.") for target in targets if target.startswith("gctd3.")}
+    assert ours and ours == set(vars(gctd3)["_TARGETS"])
+    for name in ours:
+        if name != "RaySettings" or find_spec("ray"):
+            assert getattr(gctd3, name).__name__ == name
+
+
+def test_the_front_door_imports_nothing_until_it_is_used():
+    names = f"name in {HEAVY} or name.startswith('gctd3.')"
+    assert fresh(f"import gctd3, sys; print([name for name in sys.modules if {names}])") == "[]"
+
+
+@pytest.mark.parametrize(
+    "module, absent",
+    [
+        # What each stage can be used without: the graph without PyTorch, the networks without Hydra.
+        ("gctd3.deploy.policy", ("torch", "torchrl", "hydra", "dm_control", "mujoco", "safetensors")),
+        ("gctd3.robots.robot", ("torch", "torchrl", "hydra", "dm_control")),
+        ("gctd3.robots.graph", ("torch", "torchrl", "hydra", "dm_control")),
+        ("gctd3.tasks.walk", ("torch", "torchrl", "hydra", "dm_control")),
+        ("gctd3.nn", ("hydra", "dm_control")),
+        ("gctd3.algorithms.td3", ("hydra", "dm_control")),
+        ("gctd3.evaluation.gait_metrics", ("torch", "torchrl", "hydra", "dm_control", "mujoco")),
+        ("gctd3.evaluation.effort", ("torch", "torchrl", "hydra", "dm_control", "mujoco")),
+        ("gctd3.config.build", ("torch", "torchrl", "dm_control", "mujoco")),
+    ],
+)
+def test_stages_are_light(module, absent):
+    assert fresh(f"import {module}, sys; print([name for name in {absent} if name in sys.modules])") == "[]"
+
+
+# The public names.
+
+
+def test_public_names_resolve():
+    assert gctd3.__all__ == sorted(gctd3.__all__)
+    for name in gctd3.__all__:
+        thing = getattr(gctd3, name)
+        assert thing.__name__ == name
+        assert thing.__module__.startswith("gctd3.")
+        assert name in dir(gctd3)
+
+
+def test_an_unknown_name_lists_those_there_are():
+    with pytest.raises(AttributeError, match=r"no attribute 'make_actress'.*make_actor"):
+        _ = gctd3.make_actress
+
+
+@pytest.mark.parametrize("name", [name for name, _ in modules()])
+def test_names_of_a_modules_all_exist(name):
+    if name == "data.ray_worker":
+        pytest.importorskip("ray")
+    module = importlib.import_module(f"gctd3.{name}")
+    for public in getattr(module, "__all__", ()):
+        assert hasattr(module, public)
+
+
+def undocumented(node, prefix=""):
+    """Public definitions below ``node`` without a docstring; what is nested in a function is not public."""
+    for child in node.body:
+        if not isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) or child.name.startswith("_"):
+            continue
+        # What a property is, its getter says.
+        setter = any(getattr(decorator, "attr", "") == "setter" for decorator in child.decorator_list)
+        if not setter and not ast.get_docstring(child):
+            yield f"{prefix}{child.name}"
+        if isinstance(child, ast.ClassDef):
+            yield from undocumented(child, f"{prefix}{child.name}.")
+
+
+def test_everything_public_has_a_docstring():
+    missing = []
+    for name, file in [*modules(), ("gctd3", ROOT / "__init__.py")]:
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        missing += [] if ast.get_docstring(tree) else [name]
+        missing += [f"{name}.{found}" for found in undocumented(tree)]
+    assert not missing, ", ".join(missing)

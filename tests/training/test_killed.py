@@ -1,0 +1,185 @@
+"""Trainings that end by a signal, a kill at any moment, a second training or a full disk, and go on from there."""
+
+import math
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import torch
+from resuming import TIMED, assert_same_run
+from running import command, process, rows, tiny, train, wait_for
+
+from gctd3.runs.load import load_policy
+from gctd3.training.checkpoint import Checkpoints
+
+
+def start(run, *overrides):
+    arguments = [*tiny(run, *overrides)] if not run.exists() else [f"resume={run}"]
+    module = [sys.executable, "-m", "gctd3.train", *arguments]
+    return subprocess.Popen(module, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+LONG = ["total_frames=4000", "evaluation.every=400", "checkpoint_every=0.2"]
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_finishes_the_step_and_says_how_to_go_on(tmp_path, number, code):
+    run = tmp_path / "run"
+    running = start(run, *LONG)
+    wait_for(lambda: list(run.glob("checkpoints/best-*")))
+    running.send_signal(number)
+    out, error = running.communicate(timeout=60)
+    assert running.returncode == code, error
+    assert "Traceback" not in error
+    assert f"Continue it:  python -m gctd3.train resume={run}" in out
+    assert load_policy(run) is not None
+    before = rows(run)
+    done = process("train", f"resume={run}")
+    assert done.returncode == 0, done.stderr
+    assert rows(run)[: len(before)] == before
+    assert int(rows(run)[-1]["frames"]) == 4000
+
+
+def test_a_second_signal_leaves_at_once(tmp_path):
+    run = tmp_path / "run"
+    # Steps of minutes, so that the first signal alone would not end it soon.
+    running = start(run, *LONG, "updates=100_000")
+    wait_for(lambda: (run / ".hydra" / "config.yaml").exists())
+    time.sleep(2.0)
+    running.send_signal(signal.SIGINT)
+    time.sleep(0.5)
+    assert running.poll() is None
+    running.send_signal(signal.SIGINT)
+    out, error = running.communicate(timeout=10)
+    assert running.returncode == -signal.SIGINT
+    assert "once more leaves at once" in out
+    assert "Traceback" not in error
+
+
+def test_a_signal_while_the_training_is_being_built(tmp_path):
+    run = tmp_path / "run"
+    running = start(run, *LONG)
+    wait_for(lambda: (run / ".lock").exists())
+    running.send_signal(signal.SIGINT)
+    out, error = running.communicate()
+    assert running.returncode == 130
+    assert "Traceback" not in error
+    assert f"Continue it:  python -m gctd3.train resume={run}" in out
+
+
+def test_a_second_training_in_the_directory_is_refused(tmp_path):
+    run = tmp_path / "run"
+    running = start(run, *LONG, "total_frames=400_000", "evaluation.every=400_000")
+    try:
+        wait_for(lambda: list(run.glob("checkpoints/step-*")))
+        for arguments in (tiny(run), [f"resume={run}"]):
+            second = process("train", *arguments)
+            assert second.returncode == 2
+            assert "Another training writes to" in second.stderr
+    finally:
+        running.kill()
+        running.communicate()
+
+
+def killed_at(run, seconds):
+    """Kill the training so many seconds after its first file appears, with a signal that cannot be caught."""
+    running = start(run, *LONG)
+    wait_for(lambda: (run / "progress.csv").exists() or list(run.glob("checkpoints/*")) or running.poll() is not None)
+    time.sleep(seconds)
+    running.kill()
+    running.communicate()
+    return running.returncode
+
+
+def test_killed_at_any_moment_resumes_and_ends_as_if_left_alone(tmp_path):
+    whole = train(tmp_path / "whole", *LONG)
+    kill_and_compare(tmp_path / "run", whole, [0.3, 1.1])
+
+
+@pytest.mark.slow
+def test_thirty_kills(tmp_path):
+    whole = train(tmp_path / "whole", *LONG)
+    generator = torch.Generator().manual_seed(0)
+    moments = torch.rand(30, generator=generator) * 2.5
+    for i in range(10):
+        kill_and_compare(tmp_path / f"run{i}", whole, moments[3 * i : 3 * i + 3].tolist())
+
+
+def kill_and_compare(run, whole, moments):
+    for seconds in moments:
+        if killed_at(run, seconds) == 0:
+            break
+        if (run / "progress.csv").exists():
+            assert rows(run, drop=TIMED) == rows(whole, drop=TIMED)[: len(rows(run))]
+    done = process("train", f"resume={run}")
+    assert done.returncode in (0, 2), done.stderr
+    if done.returncode == 2:
+        assert "is finished" in done.stderr
+    assert_same_run(whole, run)
+
+
+# Checkpoints as often as can be, whatever the disk's speed, so that every run flushes the same files in the same order.
+OFTEN = "checkpoint_every=1e-9"
+DYING = """
+import math, os, sys
+from gctd3 import files, train
+from gctd3.training import trainer
+trainer.MOST_TIME = math.inf
+left = {left}
+flush = files._flush
+def counting(path):
+    global left
+    left -= 1
+    if not left:
+        print("Died before", path, flush=True)
+        os._exit(9)
+    flush(path)
+files._flush = counting
+sys.argv = ["train", *{arguments!r}]
+train.main()
+"""
+
+
+def test_a_kill_inside_a_checkpoint_leaves_the_one_before(tmp_path, monkeypatch):
+    """Whatever file a checkpoint was about to write when it was killed."""
+    monkeypatch.setattr("gctd3.training.trainer.MOST_TIME", math.inf)
+    whole = train(tmp_path / "whole", OFTEN)
+    struck = set()
+    for count in range(6):
+        run = tmp_path / f"run{count}"
+        code = DYING.format(left=20 + count, arguments=tiny(run, OFTEN))
+        killed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert killed.returncode == 9, killed.stderr
+        struck.add(re.sub(r"[\d-]+", "-", re.search(r"Died before .*/(.*)", killed.stdout)[1]))
+        assert command("train", f"resume={run}") == 0, count
+        assert_same_run(whole, run)
+        assert not list(run.rglob("*.tmp"))
+    assert struck >= {".rows-.safetensors.tmp", "state.safetensors", "manifest.json", ".step-.tmp", "checkpoints"}
+
+
+def test_a_full_disk_says_so_and_leaves_the_last_checkpoint(tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=3m", "none", str(disk)], capture_output=True).returncode:
+        pytest.skip("tmpfs cannot be mounted here")
+    try:
+        run = disk / "run"
+        many = ["env.num_envs=64", "total_frames=100_000", "evaluation.every=100_000", "replay.capacity=100_000"]
+        done = process("train", *tiny(run, *many, "updates=1", "checkpoint_every=0.1"))
+        assert done.returncode == 2
+        assert "Traceback" not in done.stderr
+        assert "No space left on device" in done.stderr
+        assert f"resume={run}" in done.stderr
+        assert Checkpoints(run).newest() is not None
+        assert not list(run.rglob("*.tmp"))
+        elsewhere = tmp_path / "elsewhere"
+        shutil.copytree(run, elsewhere)
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+    state, _ = Checkpoints(elsewhere).newest()
+    more = int(state["counters"]["frames"]) + 640
+    assert command("train", f"resume={elsewhere}", f"total_frames={more}") == 0

@@ -1,0 +1,60 @@
+"""A robot of one's own with settings of its own: a YAML outside the package."""
+
+import pytest
+from robots import TWO_LEGS, write
+from running import command, rows, tiny, train
+
+from gctd3.training.saved_configuration import load_settings
+
+MINE = """# @package _global_
+defaults:
+  - quadruped
+  - _self_
+robot:
+  name: robot.xml
+env:
+  endings:
+    contact_steps: null
+"""
+
+
+@pytest.fixture(autouse=True)
+def _place(tmp_path, monkeypatch):
+    write(tmp_path, TWO_LEGS)
+    (tmp_path / "own/robot").mkdir(parents=True)
+    (tmp_path / "own/robot/mine.yaml").write_text(MINE)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("way", ["--config-dir=own", "--config-dir own", "-cd own", "hydra.searchpath=[file://{}/own]"])
+def test_options_stand_anywhere_among_the_settings(tmp_path, way):
+    words = way.format(tmp_path).split(" ")
+    # On both sides, as nothing about key=value says which comes first.
+    assert command("train", "algo=td3", *words, *tiny(tmp_path / "run", "robot=mine", "total_frames=160")) == 0
+    settings = load_settings(tmp_path / "run")
+    endings = settings.env.endings
+    # Its own, the quadruped's, everybody's.
+    assert (endings.contact_steps, endings.fall_height, endings.finish) == (None, -0.2, 15.0)
+    assert settings.robot.name == "robot.xml" and settings.load_robot().feet == ("leg_r", "leg_l")
+    # What it says is in the run by now, so the YAML may be found again, or not.
+    resume = f"resume={tmp_path / 'run'}"
+    assert command("train", resume, *words, "total_frames=320") == 0
+    (tmp_path / "own").rename(tmp_path / "gone")
+    assert command("train", resume, "total_frames=400") == 0
+    assert rows(tmp_path / "run")[-1]["frames"] == "400"
+    assert load_settings(tmp_path / "run").env == settings.env
+
+
+def test_another_robots_settings(tmp_path):
+    run = train(tmp_path / "run", "robot=quadruped", "robot.name=robot.xml", "total_frames=160")
+    settings = load_settings(run)
+    assert settings.robot.name == "robot.xml" and settings.env.endings.contact_steps == 50
+    plain = load_settings(train(tmp_path / "plain", "robot=robot.xml", "total_frames=160"))
+    assert plain.env.endings.contact_steps == 40
+
+
+def test_what_is_no_setting_is_still_refused(tmp_path, capsys):
+    assert command("train", "algo=td3", "--no-such-option", "robot=mine") == 2
+    assert "--no-such-option" in capsys.readouterr().err
+    assert command("train", *tiny(tmp_path / "run", "robot=mine")) == 2
+    assert "Could not find 'robot/mine'" in capsys.readouterr().err

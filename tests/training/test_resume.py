@@ -1,0 +1,178 @@
+"""Going on as if nothing had happened: stopped or extended runs against ones that were left alone."""
+
+import json
+import shutil
+
+import pytest
+import torch
+from hydra import compose, initialize_config_module
+from resuming import TIMED, StopAfter, assert_same_run, stopped
+from running import TINY, Recorded, command, rows, train
+
+from gctd3.training.checkpoint import Checkpoints
+from gctd3.training.saved_configuration import save_config
+
+CASES = [(algo, backend, "frames") for algo in ("gctd3", "td3", "ddpg", "sac") for backend in ("batched", "dm_control")]
+
+
+@pytest.mark.parametrize(("algo", "backend", "storage"), [*CASES, ("td3", "batched", "stacked")])
+def test_stopped_and_resumed_equals_left_alone(tmp_path, algo, backend, storage):
+    settings = [f"algo={algo}", f"env.backend={backend}", f"replay.storage={storage}"]
+    whole = train(tmp_path / "whole", *settings)
+    # In the middle of episodes, between two evaluations.
+    part = stopped(tmp_path / "part", 128, *settings)
+    assert [row["frames"] for row in rows(part)] == ["80"]
+    assert command("train", f"resume={part}") == 0
+    assert_same_run(whole, part)
+
+
+def test_stopped_in_the_warm_up_and_twice_more(tmp_path):
+    whole = train(tmp_path / "whole")
+    part = stopped(tmp_path / "part", 40)
+
+    class Again(Recorded):
+        def run(self, stop=None):
+            return super().run(StopAfter(self, self.counters.frames + 60))
+
+    assert command("train", f"resume={part}", trainer=Again) == 0
+    assert command("train", f"resume={part}") == 0
+    assert_same_run(whole, part)
+
+
+@pytest.mark.parametrize("storage", ["frames", "stacked"])
+def test_stopped_after_it_had_begun_again(tmp_path, storage):
+    never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=80", "exploration.warmup_frames=40"]
+    settings = [*never, f"replay.storage={storage}", "total_frames=320"]
+    whole = train(tmp_path / "whole", *settings)
+    assert [row["restarts"] for row in rows(whole)] == ["0", "1", "2", "3"]
+    part = stopped(tmp_path / "part", 200, *settings)
+    assert command("train", f"resume={part}") == 0
+    assert_same_run(whole, part)
+
+
+def test_more_frames_extend_a_finished_run(tmp_path):
+    long = train(tmp_path / "long", "total_frames=400")
+    run = train(tmp_path / "run")
+    assert command("train", f"resume={run}") == 2
+    assert command("train", f"resume={run}", "total_frames=400") == 0
+    assert rows(run, drop=TIMED) == rows(long, drop=TIMED)
+    # It is now a run of 400 frames.
+    assert command("train", f"resume={run}") == 2
+
+
+def test_other_settings_are_refused_by_name_and_harmless_ones_taken(tmp_path, capsys):
+    run = stopped(tmp_path / "run", 80)
+    capsys.readouterr()
+    assert command("train", f"resume={run}", "algo.gamma=0.9", "updates=3", "logger=csv") == 2
+    error = capsys.readouterr().err
+    assert "algo.gamma: 0.99 -> 0.9" in error
+    assert "updates: 2 -> 3" in error
+    assert "logger:" not in error
+    assert command("train", f"resume={run}", "algo=sac") == 2
+    assert "algo._target_: 'gctd3.TD3Settings' -> 'gctd3.SACSettings" in capsys.readouterr().err
+    assert command("train", f"resume={run}", "logger=csv", "total_frames=160") == 0
+    assert [row["frames"] for row in rows(run)] == ["80", "160"]
+    assert (run / "csv").is_dir()
+
+
+def test_keys_of_the_options_that_the_run_chose_are_known(tmp_path, capsys):
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        save_config(tmp_path, compose("config", ["collector=process"]), ["collector=process"])
+    assert command("train", f"resume={tmp_path}", "collector.workers=1", "seed=7") == 2
+    error = capsys.readouterr().err
+    assert "seed: 0 -> 7" in error and "collector.workers:" not in error
+    assert command("train", f"resume={tmp_path}", "collector=inline", "collector.workers=1") == 2
+    assert "Unknown key 'collector.workers'" in capsys.readouterr().err
+
+
+def test_the_csv_logger_goes_back_to_the_checkpoint(tmp_path):
+    whole = train(tmp_path / "whole", "logger=csv")
+    part = stopped(tmp_path / "part", 176, "logger=csv")
+    shutil.copytree(part / "checkpoints", tmp_path / "kept")
+    assert command("train", f"resume={part}") == 0
+    # Back to the moment of the stop, as if what came after it had never been saved.
+    shutil.rmtree(part / "checkpoints")
+    shutil.copytree(tmp_path / "kept", part / "checkpoints")
+    assert command("train", f"resume={part}") == 0
+    files = sorted(path.relative_to(whole / "csv") for path in (whole / "csv").rglob("*.csv"))
+    assert len(files) > 5
+    for file in files:
+        if "wall" not in file.name:
+            assert (part / "csv" / file).read_text() == (whole / "csv" / file).read_text(), file
+
+
+def test_tensorboard_goes_back_to_the_checkpoint(tmp_path):
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    part = stopped(tmp_path / "part", 96, "logger=tensorboard")
+    shutil.copytree(part / "checkpoints", tmp_path / "kept")
+    for _ in range(2):
+        shutil.rmtree(part / "checkpoints")
+        shutil.copytree(tmp_path / "kept", part / "checkpoints")
+        assert command("train", f"resume={part}") == 0
+    (folder,) = {file.parent for file in part.rglob("events*")}
+    events = accumulator.EventAccumulator(str(folder)).Reload()
+    assert [event.step for event in events.Scalars("evaluation/return_mean")] == [80, 160, 240]
+
+
+@pytest.mark.parametrize("missing", ["", "empty"])
+def test_no_run_to_resume(tmp_path, capsys, missing):
+    if missing:
+        (tmp_path / "run").mkdir()
+    assert command("train", f"resume={tmp_path / 'run'}") == 2
+    assert "there is no run to continue" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.rglob("*")] == (["run"] if missing else [])
+
+
+def test_a_damaged_checkpoint_is_passed_over(tmp_path, capsys):
+    whole = train(tmp_path / "whole", "checkpoint_every=0.001")
+    part = stopped(tmp_path / "part", 160, "checkpoint_every=0.001")
+    newest, before = sorted((part / "checkpoints").glob("step-*"), reverse=True)[:2]
+    state = newest / "state.safetensors"
+    damaged = bytearray(state.read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    state.write_bytes(damaged)
+    capsys.readouterr()
+    assert command("train", f"resume={part}") == 0
+    error = capsys.readouterr().err
+    assert "Passed over a checkpoint" in error
+    assert str(state) in error
+    assert_same_run(whole, part)
+    # A part of the replay that only the newest names is damaged: it must not live on in those after it.
+    again = stopped(tmp_path / "again", 160, "checkpoint_every=0.001")
+    newest_part = max((again / "checkpoints" / "replay").iterdir())
+    newest_part.write_bytes(newest_part.read_bytes()[:-1])
+    assert command("train", f"resume={again}") == 0
+    assert str(newest_part) in capsys.readouterr().err
+    assert_same_run(whole, again)
+    for path in (part / "checkpoints").glob("step-*"):
+        (path / "manifest.json").write_text("{")
+    assert command("train", f"resume={part}") == 2
+    assert "checkpoints in" in capsys.readouterr().err
+    assert before.name < newest.name
+
+
+def test_a_sweep_goes_on_where_it_stopped(tmp_path):
+    whole = {seed: train(tmp_path / f"whole{seed}", f"seed={seed}") for seed in (0, 1)}
+    settings = [f"{key}={value}" for key, value in TINY.items()]
+    sweep = ["-m", *settings, "seed=0,1", f"hydra.sweep.dir={tmp_path / 'sweep'}", "hydra.sweep.subdir=${seed}"]
+
+    class Stopped(Recorded):
+        def run(self, stop=None):
+            return super().run(StopAfter(self, 128) if self.settings.seed else None)
+
+    assert command("train", *sweep, trainer=Stopped) == 0
+    finished = (tmp_path / "sweep" / "0" / "progress.csv").read_text()
+    assert command("train", *sweep) == 0
+    assert (tmp_path / "sweep" / "0" / "progress.csv").read_text() == finished
+    for seed, run in whole.items():
+        assert_same_run(run, tmp_path / "sweep" / str(seed))
+
+
+def test_manifests_say_what_they_are_of(tmp_path):
+    run = train(tmp_path / "run")
+    for path in (Checkpoints(run).best(), *(run / "checkpoints").glob("step-*")):
+        content = json.loads((path / "manifest.json").read_text())["content"]
+        assert content["format"] == 2
+        assert content["versions"]["torch"] == torch.__version__.split("+")[0] or content["versions"]["torch"]
+        assert content["config"]["env"]["num_envs"] == TINY["env.num_envs"]
+        assert ["body", "hip_right"] in content["graph"]["edges"]

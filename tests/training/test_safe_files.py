@@ -1,0 +1,145 @@
+"""Files of a run are data: whatever stands in their place, nothing of it is run."""
+
+import pickle
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from running import command, train
+
+import gctd3
+from gctd3.errors import RunError
+from gctd3.files import checksum, load_tree, read_manifest, write_manifest
+from gctd3.runs.load import load_policy
+from gctd3.training.saved_configuration import load_settings
+
+
+class Evil:
+    """What unpickling this would do: create a file."""
+
+    def __init__(self, marker):
+        self.marker = marker
+
+    def __reduce__(self):
+        return Path.touch, (self.marker,)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return train(tmp_path_factory.mktemp("trained") / "run")
+
+
+def evil_files(folder, marker):
+    """A plain pickle and torch's zip of one."""
+    plain, zipped = folder / "plain", folder / "zipped"
+    plain.write_bytes(pickle.dumps(Evil(marker)))
+    torch.save(Evil(marker), zipped)
+    return plain, zipped
+
+
+def test_the_evil_files_are_evil(tmp_path):
+    marker = tmp_path / "marker"
+    plain, zipped = evil_files(tmp_path, marker)
+    pickle.loads(plain.read_bytes())
+    assert marker.exists()
+    marker.unlink()
+    torch.load(zipped, weights_only=False)
+    assert marker.exists()
+
+
+def test_nothing_of_a_run_is_executed(tmp_path, capsys, run):
+    """Even with the checksums that belong to it."""
+    marker = tmp_path / "marker"
+    files = [path.relative_to(run) for path in run.rglob("*") if path.is_file() and path.name != ".lock"]
+    assert {"config.yaml", "manifest.json", "policy.safetensors", "state.safetensors"} <= {path.name for path in files}
+    for evil in evil_files(tmp_path, marker):
+        for file in files:
+            broken = Path(shutil.copytree(run, tmp_path / "broken"))
+            shutil.copy(evil, broken / file)
+            if file.suffix == ".safetensors":
+                seal(broken)
+                with pytest.raises(RunError, match=re.escape(str(broken / file))):
+                    load_tree(broken / file)
+            capsys.readouterr()
+            judged = "best-" in str(file) or file.name == "config.yaml"
+            code = (
+                command("evaluate", f"run={broken}", "episodes=1") if judged else command("train", f"resume={broken}")
+            )
+            assert code == 2
+            assert "Traceback" not in capsys.readouterr().err
+            if file.name in ("policy.safetensors", "config.yaml"):
+                with pytest.raises(RunError, match=re.escape(str(broken))):
+                    load_policy(broken)
+            assert not marker.exists(), file
+            shutil.rmtree(broken)
+
+
+STRANGER = """
+import dataclasses, pathlib
+pathlib.Path({marker!r}).touch()
+from gctd3.algorithms.td3 import TD3Settings
+
+@dataclasses.dataclass(frozen=True)
+class Settings(TD3Settings):
+    pass
+"""
+
+
+def test_no_stranger_is_imported_unless_it_is_allowed(tmp_path, monkeypatch, capsys, run):
+    """Somebody else's run names a module that this machine can import."""
+    marker, broken = tmp_path / "marker", Path(shutil.copytree(run, tmp_path / "run"))
+    (tmp_path / "stranger.py").write_text(STRANGER.format(marker=str(marker)))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    config = broken / ".hydra" / "config.yaml"
+    own = "gctd3.TD3Settings"
+    assert own in config.read_text()
+    config.write_text(config.read_text().replace(own, "stranger.Settings"))
+    said = "algo: _target_ 'stranger.Settings' is not gctd3's.* GCTD3_MODULES=stranger"
+    for name, arguments in (("evaluate", [f"run={broken}", "episodes=1"]), ("train", [f"resume={broken}"])):
+        capsys.readouterr()
+        assert command(name, *arguments) == 2
+        assert re.search(said, capsys.readouterr().err)
+    with pytest.raises(RunError, match=said):
+        load_policy(broken)
+    assert not marker.exists() and "stranger" not in sys.modules
+
+    monkeypatch.setenv("GCTD3_MODULES", "another, stranger")
+    assert load_policy(broken) is not None and marker.exists()
+    # What the caller has imported is no stranger.
+    monkeypatch.delenv("GCTD3_MODULES")
+    assert load_policy(broken) is not None
+    del sys.modules["stranger"]
+
+
+def test_a_command_line_may_name_modules_of_ones_own(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(STRANGER.format(marker=str(tmp_path / "marker")))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    trained = train(tmp_path / "run", "algo._target_=mine.Settings")
+    assert load_settings(trained).algo == sys.modules.pop("mine").Settings(privileged_critic=True)
+
+
+def seal(run):
+    """Make every manifest say that the files beside it are right."""
+    for manifest in run.glob("checkpoints/*/manifest.json"):
+        content = read_manifest(manifest.parent)
+        content["files"] = {name: checksum(manifest.parent / name) for name in content["files"]}
+        for part in content.get("replay", []):
+            part["sha256"] = checksum(run / "checkpoints" / "replay" / part["file"])
+        write_manifest(manifest.parent, content)
+
+
+def test_nothing_in_the_library_could():
+    """No way to run what a file holds is used anywhere."""
+    forbidden = r"\b(pickle|cPickle|dill|joblib|marshal|shelve|torch\.load|torch\.jit\.load|unsafe_load|full_load)\b"
+    yaml_load = r"\byaml\.(load|load_all|unsafe\w*)\b(?!.*SafeLoader)|(?<!\.)\b(eval|exec)\("
+    sources = [*Path(gctd3.__file__).parent.rglob("*.py")]
+    assert len(sources) > 30
+    for source in sources:
+        code = [line.split("#")[0] for line in source.read_text(encoding="utf-8").splitlines()]
+        for number, line in enumerate(code, 1):
+            if re.search(forbidden, line) and re.match(r"\s*(from|import)\b|.*\w\(", line):
+                pytest.fail(f"{source}:{number}: {line}")
+            assert not re.search(yaml_load, line), f"{source}:{number}: {line}"

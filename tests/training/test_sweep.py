@@ -1,0 +1,220 @@
+"""Sweeps: the ready ones, runs side by side, what stops and crashes, and how a report tells their runs apart."""
+
+import functools
+import os
+import signal
+import subprocess
+import sys
+from itertools import product
+from types import SimpleNamespace
+
+import pytest
+from hydra import compose, initialize_config_module
+from hydra.errors import MissingConfigException
+from omegaconf import OmegaConf
+from resuming import assert_same_run
+from running import TINY, Recorded, command, rows, train, wait_for
+
+from gctd3.comparison.groups import groups_of
+from gctd3.comparison.runs import find_runs
+from gctd3.config.build import build
+from gctd3.config.command_line import explain
+from gctd3.errors import NumericalError
+from gctd3.training import sweep
+from gctd3.training.saved_configuration import save_config
+
+READY = {"table5": 4, "graphs": 6, "history": 4}
+NAMES = {
+    "table5": ["gctd3", "ddpg", "sac", "td3"],
+    "graphs": [f"gctd3 {graph}" for graph in ("tree", "authors", "complete", "edgeless", "random", "mlp")],
+    "history": [f"gctd3 history={frames}" for frames in (1, 3, 5, 8)],
+}
+
+
+SEEDS = (0, 1)  # of the five: composing takes its time
+
+
+@functools.cache
+def params(experiment):
+    """What a ready sweep sweeps over, as a command line would say it."""
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        whole = compose("config", [f"experiment={experiment}"], return_hydra_config=True)
+        return dict(whole.hydra.sweeper.params)
+
+
+@functools.cache
+def jobs(experiment):
+    """Command line and configuration of each run of a ready sweep, for some of its seeds."""
+    over = {key: str(value).split(",") for key, value in params(experiment).items() if key != "seed"}
+    found = []
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        for *chosen, seed in product(*over.values(), SEEDS):
+            overrides = [f"experiment={experiment}", *(f"{k}={v}" for k, v in zip(over, chosen, strict=True))]
+            overrides.append(f"seed={seed}")
+            found.append((overrides, compose("config", overrides)))
+    return found
+
+
+@pytest.mark.parametrize("experiment", READY)
+def test_ready_sweeps_are_fair(experiment):
+    found = [build(config) for _, config in jobs(experiment)]
+    assert len(found) == len(SEEDS) * READY[experiment] and params(experiment)["seed"] == "range(5)"
+    # Equal frames, equal updates, and nothing ends them early.
+    assert len({(s.total_frames, s.steps, s.updates, s.env.num_envs, s.exploration.warmup_frames) for s in found}) == 1
+    assert all(s.stop_when.evaluations is None and s.total_episodes is None for s in found)
+
+
+@pytest.mark.parametrize("experiment", READY)
+def test_a_report_tells_the_runs_of_a_ready_sweep_apart(experiment, tmp_path):
+    for number, (overrides, config) in enumerate(jobs(experiment)):
+        save_config(tmp_path / str(number), config, overrides)
+    groups = groups_of(find_runs(tmp_path))
+    assert list(groups) == NAMES[experiment]
+    assert all([run.seed for run in runs] == list(SEEDS) for runs in groups.values())
+
+
+def test_the_mlp_among_the_graphs_has_as_many_parameters():
+    sizes = {}
+    for overrides, config in jobs("graphs"):
+        settings = build(config)
+        actor_and_critics = settings.algo.build(settings.architecture()).optimizers.values()
+        counts = [sum(p.numel() for group in o.param_groups for p in group["params"]) for o in actor_and_critics]
+        sizes[overrides[1]] = counts
+    mlp, tree = sizes["experiment/graphs=mlp"], sizes["experiment/graphs=tree"]
+    assert len(tree) == 2 and mlp == pytest.approx(tree, rel=0.01) and mlp != tree
+    assert all(counts == tree for name, counts in sizes.items() if name != "experiment/graphs=mlp")
+
+
+def test_every_seed_draws_its_own_random_graph():
+    seeds = {config.seed: config.robot.graph_seed for overrides, config in jobs("graphs")}
+    assert seeds == {seed: seed for seed in SEEDS}
+
+
+# Side by side.
+
+
+@pytest.mark.parametrize(
+    "n_jobs, at_once, each", [(1, 1, 12), (3, 3, 4), (5, 5, 2), (-1, 12, 1), (-2, 11, 1), (20, 20, 1)]
+)
+def test_cores_are_divided(monkeypatch, n_jobs, at_once, each):
+    monkeypatch.setattr(sweep, "cores", lambda: 12)
+    launcher = OmegaConf.create({"n_jobs": n_jobs})
+    assert sweep.runs_at_once(launcher) == at_once
+    monkeypatch.setattr(sweep.HydraConfig, "get", lambda: SimpleNamespace(launcher=launcher))
+    config = OmegaConf.create({"threads": None, "env": {"threads": None}})
+    sweep.share_cores(config)
+    assert config == {"threads": each, "env": {"threads": each}}
+    given = OmegaConf.create({"threads": 7, "env": {"num_envs": 2}})
+    sweep.share_cores(given)
+    assert given == {"threads": 7, "env": {"num_envs": 2}}
+
+
+def test_a_launcher_that_knows_nothing_of_jobs_has_one():
+    assert sweep.runs_at_once(OmegaConf.create({"_target_": "basic"})) == 1
+
+
+def arguments(directory, *overrides, **changed):
+    settings = [f"{key}={value}" for key, value in {**TINY, **changed}.items()]
+    return ["-m", *settings, "seed=0,1", f"hydra.sweep.dir={directory}", "hydra.sweep.subdir=seed${seed}", *overrides]
+
+
+def beside(directory, *overrides, **changed):
+    """A sweep with two runs at once, in a process group of its own, as a terminal has it."""
+    more = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2", *overrides]
+    module = [sys.executable, "-m", "gctd3.train", *arguments(directory, *more, **changed)]
+    return subprocess.Popen(module, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+
+def test_ctrl_c_reaches_runs_side_by_side_and_the_sweep_goes_on_later(tmp_path):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    long = {"total_frames": 2000, "evaluation.every": 400, "checkpoint_every": 1000}
+    directory = tmp_path / "sweep"
+    running = beside(directory, **long)
+    wait_for(lambda: len(list(directory.glob("seed?/checkpoints/best-*"))) == 2, seconds=600)
+    os.killpg(running.pid, signal.SIGINT)
+    out, error = running.communicate(timeout=300)
+    assert running.returncode == 130, out + error
+    assert "Traceback" not in out + error and out.count("stopped. ") == 2
+    assert f"Continue it with the same command and hydra.sweep.dir={directory}" in out
+    stopped = {seed: rows(directory / f"seed{seed}") for seed in (0, 1)}
+    assert all(int(found[-1]["frames"]) < 2000 for found in stopped.values())
+    # With hours between checkpoints, only a run that was let finish its step can have one.
+    assert len(list(directory.glob("seed?/checkpoints/step-*"))) == 2 and not (directory / ".stop").exists()
+
+    running = beside(directory, **long)
+    out, error = running.communicate(timeout=300)
+    assert running.returncode == 0, out + error
+    assert out.count("done. Best evaluation") == 2
+    for seed in (0, 1):
+        run = directory / f"seed{seed}"
+        assert rows(run)[: len(stopped[seed])] == stopped[seed] and int(rows(run)[-1]["frames"]) == 2000
+        assert "Run directory" in (run / "log.txt").read_text(encoding="utf-8")
+        config = OmegaConf.load(run / ".hydra" / "config.yaml")
+        assert config.threads == 1
+    whole = train(tmp_path / "whole", "seed=1", *(f"{k}={v}" for k, v in long.items()), without=list(long))
+    assert_same_run(whole, directory / "seed1")
+
+    # Nothing is left to do, whoever launches it.
+    before = {file: file.read_bytes() for file in directory.glob("seed?/progress.csv")}
+    assert command("train", *arguments(directory, **long)) == 0
+    assert {file: file.read_bytes() for file in directory.glob("seed?/progress.csv")} == before
+
+
+def test_a_missing_plugin_is_named():
+    missing = MissingConfigException("", missing_cfg_file="hydra/launcher/joblib", options=["basic"])
+    said = explain(missing, "config")
+    assert "'hydra/launcher/joblib'" in said and "pip install 'gctd3[sweep]'" in said and "basic" in said
+
+
+# What crashes.
+
+
+class Crashing(Recorded):
+    """Its second update fails for seed 0."""
+
+    def _evaluate(self):
+        if self.settings.seed == 0 and self.counters.frames > 100:
+            raise NumericalError("the loss is nan")
+        return super()._evaluate()
+
+
+def test_a_crashed_run_is_named_and_the_others_go_on(tmp_path, capsys):
+    pytest.importorskip("rliable")
+    assert command("train", *arguments(tmp_path / "sweep"), trainer=Crashing) == 2
+    error = capsys.readouterr().err
+    assert f"error: {tmp_path / 'sweep' / 'seed0'}: After " in error and "the loss is nan" in error
+    assert "the other runs went on" in error and "Traceback" not in error
+    assert int(rows(tmp_path / "sweep" / "seed1")[-1]["frames"]) == 240
+    assert command("report", f"runs={tmp_path / 'sweep'}", f"out={tmp_path / 'out'}", "episodes=1", "threads=1") == 0
+    said = (tmp_path / "out" / "verdict.txt").read_text(encoding="utf-8")
+    assert "gctd3, seed 0 (seed0) crashed: After " in said and "the loss is nan" in said
+    assert "its best policy until then counts" in said and "seed 1 (" not in said
+
+
+def test_a_run_that_was_stopped_is_named(tmp_path):
+    run = train(tmp_path / "a")
+    assert find_runs(run)[0].trouble is None
+    OmegaConf.save(
+        {**OmegaConf.load(run / ".hydra" / "config.yaml"), "total_frames": 2400}, run / ".hydra" / "config.yaml"
+    )
+    assert find_runs(run)[0].trouble == "stopped at 240 of 2,400 frames"
+    (run / "progress.csv").unlink()
+    assert find_runs(run)[0].trouble == "stopped before its first evaluation"
+
+
+def test_a_run_that_reached_what_it_was_to_show_is_at_its_end(tmp_path):
+    shown = ["stop_when.evaluations=1", "stop_when.at_least={success_rate: 0.0}", "stop_when.at_most={}"]
+    run = train(tmp_path / "a", "stop_when=never", *(f"+{item}" if "at_" in item else item for item in shown))
+    assert int(rows(run)[-1]["frames"]) < 240
+    assert find_runs(run)[0].trouble is None
+
+
+def test_a_sweeper_gets_the_return_of_the_best_policy(tmp_path, monkeypatch):
+    got = []
+
+    from gctd3 import train as module
+
+    actual = module.train
+    monkeypatch.setattr(module, "train", lambda config: got.append(actual(config)) or got[-1])
+    run = train(tmp_path / "a", "stop_when=never")
+    assert got == [pytest.approx(max(float(row["return_mean"]) for row in rows(run)))]

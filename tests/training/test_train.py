@@ -1,0 +1,238 @@
+"""From the command line to what a run leaves behind."""
+
+import json
+import math
+
+import pytest
+import torch
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+from running import Recorded, command, process, rows, tiny, train
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+import gctd3
+from gctd3.config.build import build
+from gctd3.training.checkpoint import Checkpoints
+from gctd3.training.saved_configuration import load_settings
+from gctd3.training.settings import TrainSettings
+from gctd3.training.stop_when import COLUMNS, StopWhen
+
+PROMISED = (
+    "frames",
+    "updates",
+    "wall_s",
+    "return_mean",
+    "return_std",
+    "velocity_mean",
+    "distance_mean",
+    "success_rate",
+)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """One run of each algorithm, trained when first asked for: its directory and its trainer."""
+    made = {}
+
+    def get(algorithm):
+        if algorithm not in made:
+            directory = tmp_path_factory.mktemp(algorithm) / "run"
+            made[algorithm] = (train(directory, f"algo={algorithm}"), Recorded.last)
+        return made[algorithm]
+
+    return get
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+# What a run leaves behind.
+
+
+def test_a_training_ends_with_what_to_do_next(tmp_path, capsys):
+    run = train(tmp_path / "run", "algo=td3", "total_frames=160")
+    said = capsys.readouterr().out
+    assert f"python -m gctd3.evaluate run={run} episodes=50" in said and f"python -m gctd3.view run={run}" in said
+
+
+@pytest.mark.parametrize("algorithm", ["gctd3", "td3", "ddpg", "sac"])
+def test_a_run_keeps_the_contract(runs, algorithm):
+    run, _ = runs(algorithm)
+    text = (run / ".hydra" / "config.yaml").read_text(encoding="utf-8")
+    assert "${" not in text and "???" not in text
+    settings = load_settings(run)
+    assert isinstance(settings, TrainSettings) and settings.replay.batch_size == 16
+    assert bool(settings.network.graph_layers) == (algorithm == "gctd3")
+
+    table = rows(run)
+    assert tuple(table[0]) == COLUMNS and COLUMNS[: len(PROMISED)] == PROMISED
+    assert [int(row["frames"]) for row in table] == [80, 160, 240]
+    assert all(math.isfinite(float(row[column])) for row in table for column in PROMISED)
+    # Two updates after each of the 40 steps past the warm-up.
+    assert 80 <= int(table[-1]["updates"]) <= 84
+
+    kept = {path.name for path in (run / "checkpoints").iterdir()}
+    best = Checkpoints(run).best().name
+    assert kept == {"step-000000000240", best, "replay"}
+
+    assert command("evaluate", f"run={run}", "episodes=3", "threads=1") == 0
+    report = json.loads((run / "evaluation.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
+    promised = {*PROMISED[3:], "episodes", "body_position_mean", "seeds", "versions", "gait"}
+    assert promised <= set(report)
+    assert report["episodes"] == 3 and report["seeds"] == {"training": 0, "evaluation": 10_000}
+    assert {"gctd3", "torch", "torchrl", "mujoco"} <= set(report["versions"])
+
+
+def test_load_policy_is_the_policy_that_was_judged_best(runs):
+    run, trainer = runs("gctd3")
+    policy, nodes = gctd3.load_policy(run), torch.randn(20, 8, 10)
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        loaded = policy(TensorDict({"nodes": nodes}, [20]))["action"]
+        actions = {
+            frames: judged(TensorDict({"nodes": nodes}, [20]))["action"] for frames, judged in trainer.policies.items()
+        }
+    assert [frames for frames, action in actions.items() if torch.equal(action, loaded)] == [trainer.best["frames"]]
+
+
+@pytest.mark.parametrize("algorithm", ["gctd3", "sac"])
+def test_a_later_evaluation_repeats_the_one_in_training(runs, algorithm, capsys):
+    run, trainer = runs(algorithm)
+    best = next(row for row in rows(run) if int(row["frames"]) == trainer.best["frames"])
+    assert command("evaluate", f"run={run}", "episodes=2", "seed=1000", "threads=2") == 0
+    report = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
+    for name in ("return_mean", "return_std", "velocity_mean", "distance_mean", "success_rate"):
+        assert report[name] == pytest.approx(float(best[name]), abs=1e-9)
+    assert f"{report['return_mean']:.1f}" in capsys.readouterr().out
+
+
+def test_same_seed_same_run_also_in_another_process(runs, tmp_path):
+    run, _ = runs("gctd3")
+    done = process("train", *tiny(tmp_path / "again", "algo=gctd3"))
+    assert done.returncode == 0, done.stderr
+    assert f"python -m gctd3.evaluate run={tmp_path / 'again'}" in done.stdout
+    assert rows(tmp_path / "again", drop=["wall_s"]) == rows(run, drop=["wall_s"])
+    other = train(tmp_path / "other", "seed=1")
+    assert rows(other, drop=["wall_s"]) != rows(run, drop=["wall_s"])
+
+
+def test_every_frame_counts_towards_the_warm_up(runs):
+    _, trainer = runs("gctd3")
+    assert int(trainer.explorer.frames) == 240
+
+
+# What is best, and when it is enough.
+
+
+def test_best_is_what_meets_most_conditions_then_what_returns_most():
+    stop = StopWhen(at_least={"return_mean": 5.0, "stride_hz": 1.0}, at_most={"hip_correlation": -0.5})
+    metrics = {
+        10: {"return_mean": 300.0},  # one; undefined metrics meet no condition
+        20: {"return_mean": 10.0, "stride_hz": 1.5, "hip_correlation": 0.9},  # two
+        30: {"return_mean": 20.0, "stride_hz": math.nan, "hip_correlation": -0.9},  # two, and returns more
+        40: {"return_mean": -50.0, "stride_hz": 1.0, "hip_correlation": -0.2},  # one
+    }
+    assert [stop.reached(row) for row in metrics.values()] == [1, 2, 2, 1]
+    assert max(metrics, key=lambda frames: stop.score(metrics[frames])) == 30
+    assert not stop.all_reached(metrics[30])
+    assert stop.all_reached({"return_mean": 5.0, "stride_hz": 1.0, "hip_correlation": -0.5})
+
+
+def test_the_best_checkpoint_of_a_run_is_the_best_row(runs):
+    run, trainer = runs("gctd3")
+    # Nothing walks after 240 frames, so that no condition is met and the return decides.
+    best = max(rows(run), key=lambda row: float(row["return_mean"]))
+    assert Checkpoints(run).best().name == f"best-{int(best['frames']):012d}"
+    assert [path.name for path in (run / "checkpoints").glob("best-*")] == [Checkpoints(run).best().name]
+    assert trainer.best["frames"] == int(best["frames"])
+
+
+EASY = ["~stop_when.at_most", "~stop_when.at_least.stride_hz", "stop_when.at_least.success_rate=0"]
+EASY += ["stop_when.at_least.return_mean=-1000", "stop_when.at_least.velocity_mean=-10", "total_frames=4000"]
+
+
+def test_stop_when_ends_the_training(tmp_path):
+    run = train(tmp_path / "run", *EASY, "stop_when.evaluations=2")
+    assert [row["frames"] for row in rows(run)] == ["80", "160"]
+
+
+def test_begins_again_when_no_evaluation_meets_all_conditions(tmp_path, capsys):
+    never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=160", "total_frames=400"]
+    run = train(tmp_path / "run", *never)
+    assert [(row["frames"], row["restarts"]) for row in rows(run)] == [
+        ("80", "0"), ("160", "0"), ("240", "1"), ("320", "1"), ("400", "2"),
+    ]  # fmt: skip
+    assert "After 320 steps: no evaluation in 160 met all conditions. It begins again" in capsys.readouterr().out
+    trainer = Recorded.last
+    # Since 320: all of the last warm-up, and none of what came before.
+    assert len(trainer.replay) == 80
+    # Two after each of the 21 steps from the end of a warm-up on; the last warm-up has just ended.
+    assert trainer.algorithm.updates == 2
+    assert int(rows(run)[-1]["updates"]) == trainer.counters.updates == 2 * (21 + 21) + 2
+    # Every time with other weights.
+    first, second = (trainer.policies[frames].state_dict() for frames in (240, 400))
+    assert any((first[key] != second[key]).any() for key in first)
+
+
+def test_does_not_begin_again_while_evaluations_meet_all_conditions(tmp_path):
+    run = train(tmp_path / "run", *EASY, "stop_when.evaluations=null", "stop_when.restart_after=80", "total_frames=240")
+    assert [row["restarts"] for row in rows(run)] == ["0", "0", "0"]
+
+
+def test_total_episodes_ends_the_training(tmp_path):
+    run = train(tmp_path / "run", "total_frames=4000", "evaluation.every=4000", "total_episodes=3")
+    (row,) = rows(run)
+    assert 3 * 4 < int(row["frames"]) < 1000
+
+
+def test_trains_on_dm_control(tmp_path):
+    run = train(tmp_path / "run", "env.backend=dm_control", "env.num_envs=2", "total_frames=160")
+    assert [row["frames"] for row in rows(run)] == ["80", "160"]
+    assert int(rows(run)[-1]["updates"]) >= 80
+
+
+# The paper.
+
+TABLE_4 = {
+    "total_episodes": 10_000,
+    "algo.policy_delay": 2,
+    "algo.learning_rate": 3e-4,
+    "algo.tau": 0.001,
+    "network.graph_layers": [32, 32, 16],
+    "network.hidden": [256, 256],
+    "algo.gamma": 0.99,
+    # One robot, one update a step; nothing that the paper does not have.
+    "env.num_envs": 1,
+    "steps": 1,
+    "updates": 1,
+    "env.history": 5,
+    "env.control_dt": 0.02,
+    "env.endings.finish": 15.0,
+    "network.norm": "none",
+    "algo.average_policy": False,
+    "algo.privileged_critic": False,
+    "replay.n_step": 1,
+    "replay.mirror": False,
+    "robot.graph": "tree",
+}
+
+
+def test_the_papers_experiment_is_table_4(tmp_path):
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        config = compose("config", ["experiment=paper"])
+    assert {key: OmegaConf.to_object(OmegaConf.create({"value": OmegaConf.select(config, key)}))["value"]
+            for key in TABLE_4} == TABLE_4  # fmt: skip
+    assert config.reward == config.evaluation.reward
+    settings = build(config)
+    # The optimiser is Adam; the episodes end the training, whatever their length.
+    algorithm = settings.algo.build(settings.architecture())
+    assert all(isinstance(optimizer, torch.optim.Adam) for optimizer in algorithm.optimizers.values())
+    assert settings.total_frames >= settings.total_episodes * settings.env.endings.time_limit
+    assert settings.stop_when.evaluations is None
+
+    ours = ["env.num_envs", "updates", "network.hidden", "total_frames"]
+    few = ["exploration.warmup_frames=20", "evaluation.every=10_000", "total_episodes=3"]
+    (row,) = rows(train(tmp_path / "run", "experiment=paper", *few, without=ours))
+    assert 0 <= int(row["updates"]) - (int(row["frames"]) - 20) <= 2  # one a step, past the warm-up
