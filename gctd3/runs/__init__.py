@@ -1,0 +1,1 @@
+"""Runs: what is done with a finished one; loading, judging, drawing, showing."""
