@@ -63,10 +63,10 @@ def ours(algo: str, task: str, recipe: Recipe) -> list[str]:
     noise = "null" if algo == "sac" else f"[{recipe.action_noise},{recipe.action_noise}]"
     common = {
         "algo": algo,
-        "env": task,
-        "env.observation": "flat",
+        "task": task,
+        "task.observation": "flat",
         "env.num_envs": 1,
-        "env.history": 1,
+        "task.history": 1,
         "steps": 1,
         "updates": 1,
         "network.hidden": f"[{','.join(map(str, recipe.hidden))}]",

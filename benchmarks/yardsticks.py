@@ -4,7 +4,7 @@
     python benchmarks/yardsticks.py tasks=halfcheetah algos=td3 seeds=0 steps=30000 every=5000 out=FILE.json
 
 Trains an MLP on Gymnasium's own observation with the values of ``benchmarks/yardstick_recipe.py``; ours is
-``python -m gctd3.train env=... env.observation=flat``, theirs a model of Stable-Baselines3's. Both are judged every
+``python -m gctd3.train task=... task.observation=flat``, theirs a model of Stable-Baselines3's. Both are judged every
 ``every`` steps over ``episodes`` episodes by :func:`.rollout.evaluate`, from the same starts. Trainings run one
 after another, seed by seed. Each is written to ``out`` as soon as it is over; those that ``out`` holds are not made
 again, so that the same command goes on after it was stopped. On two cores: one command for each task, each with its own

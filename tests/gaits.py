@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gctd3.tasks.step_records import Measurement
+from gctd3.tasks.measurement import Measurement
 
 RIGHT, LEFT = 0, 1
 
@@ -23,12 +23,12 @@ def sense(y=0.0, z=0.0, v=0.0, hips=(0.1, -0.1), feet=(True, False), other=False
 
 
 def walk(task, *measurements):
-    """Begin with the first measurement and advance by the others: the last progress, and all outcomes."""
-    progress, outcomes = task.begin(measurements[0]), []
+    """Begin with the first measurement and advance by the others: the last memory, and all outcomes."""
+    memory, outcomes = task.begin(measurements[0]), []
     for now in measurements[1:]:
-        progress, outcome = task.advance(progress, now)
+        memory, outcome = task.advance(memory, now)
         outcomes.append(outcome)
-    return progress, outcomes
+    return memory, outcomes
 
 
 def values(outcome):

@@ -14,9 +14,9 @@ from gctd3.training.checkpoint import FOLDER
 # What has to be the same for numbers to mean the same, and what it is called.
 TOGETHER = {
     "robot": ("robot.name", "robot.feet", "robot.forward"),
-    "task": ("env._target_", "env.library", "env.task", "env.control_dt", "env.start"),
+    "task": ("task._target_", "task.library", "task.name", "task.control_dt", "task.randomisations", "task.commands"),
     "evaluation reward": ("evaluation.reward",),
-    "endings": ("env.endings",),
+    "terminations": ("task.terminations",),
 }
 # How many, and the seed of their starts; None where an evaluation does not say.
 Episodes = tuple[int | None, int | None]
@@ -26,7 +26,7 @@ def check_together(runs: Sequence[Run]) -> None:
     """Refuse runs whose numbers do not mean the same.
 
     Raises:
-        RunError: If they differ in robot, task, evaluation reward or endings; it says which, and in what.
+        RunError: If they differ in robot, task, evaluation reward or terminations; it says which, and in what.
     """
     problems = []
     for what, keys in TOGETHER.items():

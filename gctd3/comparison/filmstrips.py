@@ -6,12 +6,10 @@ import numpy as np
 from PIL import Image
 
 from gctd3.comparison.runs import Run
-from gctd3.envs.library import LibrarySettings
 from gctd3.errors import GCTD3Error, RenderError
 from gctd3.robots.robot import Robot
-from gctd3.runs.load import load_policy
+from gctd3.runs.load import load_run
 from gctd3.training.checkpoint import FOLDER
-from gctd3.training.saved_configuration import load_settings
 from gctd3.viz.film import draw, record
 
 FRAMES = 8
@@ -33,21 +31,20 @@ def stride_of(run: Run, robot: Robot, camera: str = "side") -> tuple[list[tuple[
     if not (run.directory / FOLDER).is_dir():
         raise RenderError(f"Of {run.name} there are numbers only, no policy.")
     try:
-        env = load_settings(run.directory).env
-        if isinstance(env, LibrarySettings):
-            raise RenderError("Only the walking task can be drawn.")
-        walk = record(load_policy(run.directory), robot, env, SEED)
+        loaded = load_run(run.directory)
+        task = loaded.task("film")
+        walk = record(loaded.policy(), task, SEED)
         time = run.value("stride_time")
         strides = bool(np.isfinite(time))
-        steps = (time if strides else STRIDE) / env.control_dt
+        steps = (time if strides else STRIDE) / task.control_dt
         first = int(np.argmax(walk.position >= min(BEGIN, walk.position[-1] / 2)))
         chosen = first + np.round(steps * np.arange(FRAMES) / FRAMES).astype(int)
         chosen = chosen[chosen < len(walk.qpos)]
-        images = list(draw(walk, robot, chosen, camera, (SIZE, SIZE), env.control_dt, words=False))
+        images = list(draw(walk, robot, chosen, camera, (SIZE, SIZE), task.control_dt, words=False))
     except GCTD3Error as error:
         raise RenderError(str(error)) from error
     what = "a stride" if strides else f"{STRIDE} s, for its stride time is not known"
-    words = [f"{(step + 1) * env.control_dt:.2f} s, {walk.position[step]:.2f} m" for step in chosen]
+    words = [f"{(step + 1) * task.control_dt:.2f} s, {walk.position[step]:.2f} m" for step in chosen]
     caption = (
         "Of the policy whose return is the group's median, in equal steps of time; a line on the floor every metre."
     )

@@ -93,11 +93,11 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
 
     runs = [run for members in groups.values() for run in members]
     config = runs[0].config
-    walks = "env.task" not in config
+    walks = "task.name" not in config
     # From these keys alone, so that runs of other versions can be reported on as long as they have been evaluated.
     named = [config.get(f"robot.{key}") for key in ("name", "feet", "forward")]
     robot = Robot.from_mjcf(*named) if walks else None
-    subject = Path(str(named[0])).stem if walks else str(config["env.task"])
+    subject = Path(str(named[0])).stem if walks else str(config["task.name"])
     gallery = figures.Gallery(out / FIGURES)
 
     limit = time_limit(groups)

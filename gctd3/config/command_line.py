@@ -88,9 +88,9 @@ def _robot_file(argument: str) -> str:
     return "robot.name=" + ",".join("'" + file.replace("'", "\\'") + "'" for file in files)
 
 
-def _subject(robot: object, env: str) -> str:
+def _subject(robot: object, task: str) -> str:
     """The robot that walks, whether it ships with gctd3 or is a file; or the library's task."""
-    return Path(str(robot)).stem if env == "walk" else env
+    return Path(str(robot)).stem if task == "walk" else task
 
 
 # What a run is about, in its path; here, so that processes of a sweep know it too.

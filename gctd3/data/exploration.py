@@ -57,6 +57,27 @@ class ExplorationSettings:
         if self.noise_time < 0:
             raise ConfigError(f"noise_time must be at least 0 s, got {self.noise_time}.")
 
+    def check_robot(self, robot: Robot, control_dt: float) -> None:
+        """Raise a :class:`.ConfigError` if a robot cannot be moved like this.
+
+        Args:
+            robot: The robot.
+            control_dt: Control period (s).
+        """
+        if self.warmup != "rhythmic":
+            return
+        if self.frequency[1] > 0.5 / control_dt:
+            raise ConfigError(
+                f"exploration.frequency must be at most half a cycle a control step, {0.5 / control_dt:g} Hz, "
+                f"got {list(self.frequency)}."
+            )
+        # Only joints have mirror images.
+        if len(robot.actuated) != robot.model.nu:
+            raise ConfigError(
+                f"exploration.warmup must be uniform, got rhythmic: {robot.model.nu - len(robot.actuated)} of the "
+                f"{robot.model.nu} actions move no joint, and only joints have a mirror image."
+            )
+
 
 class Rhythm(torch.nn.Module):
     """Open-loop gaits: every joint follows a sine, and a joint's mirror image follows it half a period later.
@@ -209,13 +230,8 @@ class Explorer(TensorDictModuleBase):
         self.out_keys = ["action"]
         self.actor = actor
         self.settings = settings
-        # Only a robot whose joints have mirror images, and only when asked for.
+        settings.check_robot(robot, control_dt)
         rhythmic = settings.warmup == "rhythmic"
-        if rhythmic and len(robot.actuated) != robot.model.nu:
-            raise ConfigError(
-                f"exploration.warmup must be uniform, got rhythmic: {robot.model.nu - len(robot.actuated)} of the "
-                f"{robot.model.nu} actions move no joint, and only joints have a mirror image."
-            )
         self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, settings.heirs) if rhythmic else None
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))

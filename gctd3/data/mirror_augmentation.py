@@ -8,9 +8,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
-from gctd3.robots.robot import Robot
 from gctd3.tasks.reflection import Reflection
-from gctd3.tasks.walk import FEATURES
 
 
 class MirrorAugmentation(Transform):
@@ -20,15 +18,14 @@ class MirrorAugmentation(Transform):
     the one that was seen.
 
     Args:
-        robot: The robot.
+        reflection: How observations, actions and counters look in the mirror.
         history: Frames stacked in the nodes' features.
     """
 
-    def __init__(self, robot: Robot, history: int) -> None:
+    def __init__(self, reflection: Reflection, history: int) -> None:
         super().__init__()
-        reflection = Reflection.from_robot(robot, FEATURES)
         tables = {
-            "nodes": reflection.nodes(FEATURES * history),
+            "nodes": reflection.nodes(reflection.features * history),
             "counters": reflection.counters,
             "actions": reflection.action,
         }

@@ -129,8 +129,8 @@ class WorkerCollector:
         # Another seed for every worker that ever starts, in a resumed run too.
         seed = int(np.random.SeedSequence([self.seed, slot.index, slot.started, frames]).generate_state(1)[0])
         actor, recipe = copy.deepcopy(self.explorer.actor).to("cpu").requires_grad_(False), self.recipe
-        env, exploration = recipe.settings, self.explorer.settings
-        explorer = Explorer(actor, recipe.robot, env.num_envs, exploration, env.control_dt, slot.share)
+        task, robots = recipe.task, recipe.settings.num_envs
+        explorer = Explorer(actor, task.robot, robots, self.explorer.settings, task.control_dt, slot.share)
         explorer.frames.fill_(frames)
         job = Job(slot.share, seed, self.workers.cpus, self.steps, recipe, Policy(explorer))
         slot.worker, slot.started = None, slot.started + 1

@@ -23,17 +23,15 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from gctd3.deploy.contract import ROBOT, ROBOT_HASH, RobotIdentity
 from gctd3.deploy.policy import open_session
 from gctd3.deploy.robot_contract import describe
-from gctd3.envs.factory import EnvSettings, build_env
-from gctd3.envs.library import LibrarySettings
-from gctd3.errors import ConfigError, NumericalError, RunError, check_between, check_seed
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings
+from gctd3.errors import ConfigError, NumericalError, check_between, check_seed
 from gctd3.evaluation.rollout import evaluate
 from gctd3.files import write_bytes, write_text
 from gctd3.nn.actor import ACTION, NODES
-from gctd3.robots.robot import Robot
-from gctd3.runs.load import load_policy
-from gctd3.tasks.reward import Reward
+from gctd3.runs.load import load_run
+from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.training.checkpoint import POLICY, Checkpoints, checked, versions
-from gctd3.training.saved_configuration import find_run, load_settings
 
 # The one in which PyTorch's exporter is written; every later one is converted from it.
 OPSET = 18
@@ -122,19 +120,14 @@ def export_run(settings: ExportSettings) -> Exported:
         RunError: If the directory is not a run, or one of a library's task.
         NumericalError: If the exported network differs from PyTorch's.
     """
-    run, out = find_run(settings.run), Path(settings.out)
-    trained = load_settings(run)
-    if isinstance(trained.env, LibrarySettings):
-        raise RunError(f"{run} was trained on {trained.env.task}: export covers the walking task only.")
-    best = Checkpoints(run).best()
-    manifest, policy, robot = checked(best), load_policy(run), trained.load_robot()
-    visited, change = rehearse(policy, robot, trained.env, settings)
+    run, out = load_run(settings.run), Path(settings.out)
+    task = run.task("export")
+    manifest, policy = checked(Checkpoints(run.directory).best()), run.policy()
+    visited, change = rehearse(policy, task, run.settings.env, settings)
     if settings.max_rate is not None:
-        change = np.full_like(change, settings.max_rate * trained.env.control_dt)
+        change = np.full_like(change, settings.max_rate * task.control_dt)
     contract = describe(
-        robot,
-        trained.env.control_dt,
-        trained.env.history,
+        task,
         change,
         weights=manifest["files"][POLICY],
         frames_trained=int(manifest["frames"]),
@@ -165,7 +158,7 @@ def export_run(settings: ExportSettings) -> Exported:
 
 
 def rehearse(
-    policy: TensorDictModuleBase, robot: Robot, env: EnvSettings, settings: ExportSettings
+    policy: TensorDictModuleBase, task: SimulatedTask, env: EnvSettings, settings: ExportSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Let a policy walk in simulation.
 
@@ -175,9 +168,9 @@ def rehearse(
     """
     seen: list[tuple[Tensor, Tensor]] = []
     hook = policy.register_forward_hook(lambda _, __, out: seen.append((out[NODES].clone(), out[ACTION].clone())))
-    judged = env.judging(settings.episodes, settings.threads)
-    robots = build_env(robot, judged, Reward(), settings.seed)
-    result = evaluate(policy, robots, robot, settings.seed, env.control_dt)
+    robot = task.robot
+    robots = build_env(task, env.judging(settings.episodes, settings.threads), settings.seed)
+    result = evaluate(policy, robots, task, settings.seed)
     hook.remove()
     nodes, actions = (torch.stack(column, dim=1).numpy() for column in zip(*seen, strict=True))
     desired = robots.base_env.simulation.desired(actions.astype(np.float64))

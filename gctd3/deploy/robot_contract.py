@@ -10,25 +10,14 @@ import numpy as np
 from gctd3.deploy.contract import FORMAT, Contract, Feature, NetworkFile, Node, RobotIdentity, Servo, robot_hash
 from gctd3.errors import RobotError
 from gctd3.nn.actor import ACTION, NODES
-from gctd3.robots.graph import KinematicGraph
-from gctd3.robots.nodes import foot_slots
 from gctd3.robots.robot import Robot
-from gctd3.tasks.walk import FEATURES
+from gctd3.tasks.simulated_task import SimulatedTask
 
-# Of a base that moves in more ways than forward and up: each coordinate's unit, and what it is.
-COORDINATES = {
-    "pitch": ("rad", "pitch of the root body from standing, nose down is positive"),
-    "roll": ("rad", "roll of the root body from standing, right side down is positive"),
-    "yaw": ("rad", "yaw of the root body from standing, to the left is positive"),
-    "side": ("m", "place of the root body to the left of where it starts"),
-}
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 
 
 def describe(
-    robot: Robot,
-    control_dt: float,
-    frames: int,
+    task: SimulatedTask,
     most_change: np.ndarray,
     weights: str,
     frames_trained: int,
@@ -38,9 +27,7 @@ def describe(
     """The contract of a policy that is not in a file yet.
 
     Args:
-        robot: The robot.
-        control_dt: Control period (s).
-        frames: In the input of the policy.
+        task: On which it was trained; it holds the robot.
         most_change: Of each desired angle in a control step, shape ``[A]`` (rad).
         weights: Checksum of the file that holds the policy's.
         frames_trained: Frames that it was trained on.
@@ -50,12 +37,12 @@ def describe(
     Raises:
         RobotError: If a servo is none whose desired angle is the action, or the robot's file cannot be read.
     """
-    nodes = sensed(robot)
+    nodes, robot, frames = sensed(task), task.robot, task.history
     network = NetworkFile(
         sha256=None,
         opset=None,
         input=NODES,
-        input_shape=(len(nodes), FEATURES * frames),
+        input_shape=(len(nodes), task.features * frames),
         output=ACTION,
         weights_sha256=weights,
     )
@@ -63,7 +50,7 @@ def describe(
         format=FORMAT,
         network=network,
         robot=RobotIdentity(robot.path.stem, robot_hash(robot.path), _standing_height(robot)),
-        control_rate_hz=1.0 / control_dt,
+        control_rate_hz=1.0 / task.control_dt,
         history_frames=frames,
         history_order="oldest first",
         history_warm_up="repeat the first frame",
@@ -76,34 +63,16 @@ def describe(
     )
 
 
-def sensed(robot: Robot) -> tuple[Node, ...]:
-    """What each node of the robot's graph senses, as :meth:`.WalkingTask.node_features` has it."""
-    graph = KinematicGraph.from_robot(robot)
-    extra = iter(robot.base.extra)
-    nodes = []
-    for i, (name, kind) in enumerate(zip(graph.nodes, graph.kinds, strict=True)):
-        if kind == "root":
-            features = [
-                Feature("height_m", "height of the root body, 0 when the robot stands"),
-                Feature("velocity_m_s", "forward velocity of the root body"),
-            ]
-        elif kind == "base":
-            coordinate = next(extra)
-            unit, meaning = COORDINATES[coordinate]
-            rate = "its rate, as a gyroscope on the body measures it" if unit == "rad" else "its rate"
-            features = [Feature(f"{coordinate}_{unit}", meaning), Feature(f"{coordinate}_rate_{unit}_s", rate)]
-        elif kind == "ground":
-            features = [Feature(None, "nothing: always 0")] * FEATURES
-            for foot, (node, feature) in zip(robot.feet, foot_slots(robot), strict=True):
-                if node + graph.num_nodes == i:
-                    features[feature] = Feature(f"down_{foot}", "1 if this body touches the ground, else 0", True)
-        else:
-            features = [
-                Feature(f"angle_{name}_rad", "angle of the joint"),
-                Feature(f"velocity_{name}_rad_s", "velocity of the joint"),
-            ]
-        nodes.append(Node(name, tuple(features)))
-    return tuple(nodes)
+def sensed(task: SimulatedTask) -> tuple[Node, ...]:
+    """Return what each node of the robot's graph senses, as :class:`.FeatureTable` has it."""
+    nothing = Feature(None, "nothing: always 0")
+    return tuple(
+        Node(
+            name,
+            tuple(nothing if r is None else Feature(r.name, r.meaning, r.quantity == "contact") for r in readings),
+        )
+        for name, readings in zip(task.graph.nodes, task.table.readings, strict=True)
+    )
 
 
 def _servo(robot: Robot, index: int, most_change: float) -> Servo:

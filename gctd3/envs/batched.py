@@ -1,41 +1,44 @@
-"""N robots as one TorchRL environment of batch size [N]."""
+"""A simulated task as a TorchRL environment of batch size [N]: TorchRL is crossed once per step of all robots."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from gctd3.envs.robots_env import RobotsEnv, column, ends
+from gctd3.envs.robots_env import Glance, RobotsEnv, column, ends
 from gctd3.envs.simulation import Simulation
-from gctd3.tasks.walk import FEATURES
+from gctd3.tasks.terminations import STEPS
+from gctd3.tasks.terms import hips
 
 
 class BatchedEnv(RobotsEnv):
-    """The walking task on ``simulation.num_robots`` robots, all stepped at once.
+    """A task on ``simulation.num_robots`` robots, all stepped at once.
 
     Args:
         simulation: The robots.
 
-    Writes ``nodes [nodes, 2]`` and ``counters [2 * feet]`` of each; the rest as every :class:`.RobotsEnv`.
+    Writes ``nodes [nodes, F]`` and ``counters [K]`` of each; the rest as every :class:`.RobotsEnv`.
     """
 
     def __init__(self, simulation: Simulation) -> None:
         task = simulation.task
-        nodes = len(task.nodes), FEATURES
-        super().__init__(simulation.num_robots, nodes, task.num_counters, len(task.robot.actuated))
+        nodes = task.graph.num_nodes, task.features
+        super().__init__(simulation.num_robots, nodes, task.num_counters, task.facts.actions)
         self.simulation = simulation
 
     def _observe(self, success: np.ndarray, diverged: np.ndarray, is_init: np.ndarray) -> dict[str, torch.Tensor]:
         simulation = self.simulation
         return {
-            "nodes": torch.from_numpy(simulation.task.node_features(simulation.now)),
-            "counters": torch.from_numpy(simulation.task.counters(simulation.progress)),
+            "nodes": torch.from_numpy(simulation.task.node_features(simulation.now, simulation.memory)),
+            "counters": torch.from_numpy(simulation.task.counters(simulation.memory)),
             "position": column(simulation.now.position.astype(np.float32)),
             "success": column(success),
             "diverged": column(diverged),
             "is_init": column(is_init),
-            "step_count": column(simulation.progress.step.copy()),
+            "step_count": column(simulation.memory[STEPS].copy()),
         }
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
@@ -57,3 +60,16 @@ class BatchedEnv(RobotsEnv):
 
     def _set_seed(self, seed: int | None) -> None:
         self.simulation.rng = np.random.default_rng(seed)
+
+    def glance(self) -> Glance:
+        """Look at the robots as they are now."""
+        now, facts = self.simulation.now, self.simulation.task.facts
+        return Glance(now.height, hips(now, facts) * facts.hip_signs, now.feet_down)
+
+    def checkpoint(self) -> dict[str, Any]:
+        """Return the simulation's state."""
+        return self.simulation.state_dict()
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Set the simulation's state."""
+        self.simulation.load_state_dict(state)

@@ -1,8 +1,9 @@
-"""The walking task for dm_control: a Physics, a Task, and the TorchRL environment around them."""
+"""Simulated tasks for dm_control: a Physics, a Task, and the TorchRL environment around them."""
 
 from __future__ import annotations
 
 import collections
+import copy
 import warnings
 from typing import Any
 
@@ -13,14 +14,17 @@ from dm_env import specs
 from torchrl.envs import DMControlWrapper
 
 from gctd3.envs.mujoco_state import integration_state, load_integration_state
-from gctd3.envs.simulation import Start, substeps_of
-from gctd3.tasks.step_records import Measurement, Outcome, Progress, from_dict, to_dict
-from gctd3.tasks.walk import FEATURES, WalkingTask
+from gctd3.envs.simulation import substeps_of
+from gctd3.tasks.measurement import Measurement
+from gctd3.tasks.memory import Memory
+from gctd3.tasks.outcome import Outcome
+from gctd3.tasks.simulated_task import SimulatedTask
 
 with warnings.catch_warnings():
     # Without a display GLFW only warns, and dm_control settles on it; an error sends it on to EGL, then OSMesa.
     warnings.filterwarnings("error", module="glfw")
     from dm_control import mujoco
+    from dm_control.mujoco import wrapper
     from dm_control.rl import control
     from dm_control.suite import base
 
@@ -28,47 +32,39 @@ with warnings.catch_warnings():
 class Physics(mujoco.Physics):
     """A robot with its sensors in the task's terms."""
 
-    def measure(self, task: WalkingTask) -> Measurement:
+    def measure(self, task: SimulatedTask) -> Measurement:
         """What the robot senses now."""
         data = self.data
         return task.measure(np.array(data.qpos), np.array(data.qvel), np.array(data.sensordata))
 
 
-class Walk(base.Task):
-    """Walk forward as far as the finish.
+class DMTask(base.Task):
+    """A simulated task as dm_control has tasks.
 
     Args:
         task: The task's arithmetic.
-        start: Where episodes start.
-        random: Seed or state of the starts.
+        random: Seed or state of the starts and commands.
     """
 
-    def __init__(
-        self, task: WalkingTask, start: Start | None = None, random: int | np.random.RandomState | None = None
-    ) -> None:
+    def __init__(self, task: SimulatedTask, random: int | np.random.RandomState | None = None) -> None:
         super().__init__(random=random)
         self.task = task
-        self.start = start if start is not None else Start()
         self._now: Measurement
-        self._progress: Progress
+        self._memory: Memory
         self._outcome: Outcome | None = None
         low, high = task.robot.action_range.T
         self._middle, self._half = (high + low) / 2, (high - low) / 2
 
     def initialize_episode(self, physics: Physics) -> None:
-        """Put the robot into the pose in which it starts, every joint off by a little."""
-        joints = self.task.robot.joints
-        physics.data.qpos[:] = self.task.robot.start_qpos
-        noise = self.start.angle_noise, self.start.velocity_noise
-        physics.data.qpos[[j.qpos for j in joints]] += self.random.uniform(-noise[0], noise[0], len(joints))
-        physics.data.qvel[[j.qvel for j in joints]] += self.random.uniform(-noise[1], noise[1], len(joints))
+        """Put the robot where an episode starts."""
+        physics.data.qpos[:], physics.data.qvel[:] = self.task.start(self.random)
         self.restart(physics)
 
     def restart(self, physics: Physics) -> None:
         """Begin an episode in the state that the physics has now."""
         physics.forward()
         self._now = physics.measure(self.task)
-        self._progress = self.task.begin(self._now)
+        self._memory = self.task.begin(self._now, self.random)
         self._outcome = None
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
@@ -78,23 +74,25 @@ class Walk(base.Task):
 
     def before_step(self, action: np.ndarray, physics: Physics) -> None:
         """Map the action onto the servos' ranges."""
+        self._action = action
         physics.set_control(self._middle + self._half * np.clip(action, -1.0, 1.0))
 
     def after_step(self, physics: Physics) -> None:
         """Judge the step."""
         self._now = physics.measure(self.task)
-        self._progress, self._outcome = self.task.advance(self._progress, self._now)
+        self._memory, self._outcome = self.task.advance(self._memory, self._now, self._action, rng=self.random)
 
     def diverge(self) -> None:
         """Judge a step whose simulation failed: the robot stays where it was, and the episode ends as by a fall."""
-        self._progress, self._outcome = self.task.advance(self._progress, self._now, np.array(True))
+        failed = np.array(True)
+        self._memory, self._outcome = self.task.advance(self._memory, self._now, self._action, failed, self.random)
 
     def get_observation(self, physics: Physics) -> collections.OrderedDict[str, np.ndarray]:
-        """The nodes' features, the endings' counters, the distance walked (m) and whether it was won."""
+        """Return the nodes' features, the terminations' clocks, the distance walked (m) and whether it was won."""
         won = self._outcome is not None and bool(self._outcome.success)
         return collections.OrderedDict(
-            nodes=self.task.node_features(self._now),
-            counters=self.task.counters(self._progress),
+            nodes=self.task.node_features(self._now, self._memory),
+            counters=self.task.counters(self._memory),
             position=np.array([self._now.position], dtype=np.float32),
             success=np.array([won]),
             diverged=np.array([self._outcome is not None and bool(self._outcome.diverged)]),
@@ -112,12 +110,12 @@ class Walk(base.Task):
 
     def state_dict(self) -> dict[str, Any]:
         """What the task remembers of the episode."""
-        return {"now": to_dict(self._now), "progress": to_dict(self._progress)}
+        return {"now": self._now.to_dict(), "memory": {name: np.array(v) for name, v in self._memory.items()}}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore :meth:`state_dict`."""
-        self._now = from_dict(Measurement, state["now"])
-        self._progress = from_dict(Progress, state["progress"])
+        self._now = Measurement.from_dict(state["now"])
+        self._memory = {name: np.array(values) for name, values in state["memory"].items()}
 
     @property
     def outcome(self) -> Outcome:
@@ -131,14 +129,14 @@ class Walk(base.Task):
         return self._outcome
 
 
-class WalkEnvironment(control.Environment):
+class DMEnvironment(control.Environment):
     """A :class:`dm_control.rl.control.Environment` whose specs do not need a reset."""
 
     def observation_spec(self) -> collections.OrderedDict[str, specs.Array]:
         """Shapes and types of the observation."""
-        task: WalkingTask = self.task.task
+        task: SimulatedTask = self.task.task
         return collections.OrderedDict(
-            nodes=specs.Array((len(task.nodes), FEATURES), np.float32, "nodes"),
+            nodes=specs.Array((task.graph.num_nodes, task.features), np.float32, "nodes"),
             counters=specs.Array((task.num_counters,), np.float32, "counters"),
             position=specs.Array((1,), np.float32, "position"),
             success=specs.Array((1,), bool, "success"),
@@ -158,7 +156,7 @@ class WalkEnvironment(control.Environment):
         try:
             return super().step(values)
         except control.PhysicsError:
-            walk: Walk = self.task
+            walk: DMTask = self.task
             walk.diverge()
             self._reset_next_step = True
             observation = walk.get_observation(self.physics)
@@ -166,7 +164,7 @@ class WalkEnvironment(control.Environment):
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that the next steps depend on, but the actions."""
-        walk: Walk = self.task
+        walk: DMTask = self.task
         name, keys, position, has_gauss, cached = walk.random.get_state()
         return {
             "physics": integration_state(self.physics.model.ptr, self.physics.data.ptr),
@@ -187,28 +185,24 @@ class WalkEnvironment(control.Environment):
         self.task.load_state_dict(state)
 
 
-def load(
-    task: WalkingTask,
-    start: Start | None = None,
-    random: int | np.random.RandomState | None = None,
-) -> WalkEnvironment:
-    """The walking task as a dm_control environment.
+def load(task: SimulatedTask, random: int | np.random.RandomState | None = None) -> DMEnvironment:
+    """Load a simulated task as a dm_control environment.
 
     Args:
         task: The task's arithmetic; it holds the robot and the control period.
-        start: Where episodes start.
-        random: Seed or state of the starts.
+        random: Seed or state of the starts and commands.
     """
-    physics = Physics.from_xml_path(str(task.robot.path))
-    return WalkEnvironment(
+    # A model of its own: what changes it, as a payload does, is no other environment's affair.
+    physics = Physics.from_model(wrapper.MjModel(copy.deepcopy(task.robot.model)))
+    return DMEnvironment(
         physics,
-        Walk(task, start, random),
+        DMTask(task, random),
         n_sub_steps=substeps_of(task.control_dt, task.robot),
         # mj_step throughout, as in the batched simulation: sensors are read where the last physics step began.
         legacy_step=False,
     )
 
 
-def torchrl_env(task: WalkingTask, start: Start | None = None, seed: int = 0) -> DMControlWrapper:
-    """The walking task as a TorchRL environment of batch size ``[]``; same keys as the batched one."""
-    return DMControlWrapper(load(task, start, seed))
+def torchrl_env(task: SimulatedTask, seed: int = 0) -> DMControlWrapper:
+    """Wrap the task as a TorchRL environment of batch size ``[]``; same keys as the batched one."""
+    return DMControlWrapper(load(task, seed))

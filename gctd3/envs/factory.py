@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 from torchrl.envs import (
     CatFrames,
@@ -12,92 +13,64 @@ from torchrl.envs import (
     EnvBase,
     InitTracker,
     StepCounter,
+    Transform,
     TransformedEnv,
 )
 
+from gctd3.envs.batched import BatchedEnv
 from gctd3.envs.check import CheckStep
-from gctd3.envs.library import MOST_FRAMES, MOST_ROBOTS, LibrarySettings, build_library_env
 from gctd3.envs.serial import SerialRobots
-from gctd3.envs.simulation import Simulation, Start
-from gctd3.errors import ConfigError, check_between
-from gctd3.robots.robot import Robot
-from gctd3.tasks.reward import Endings, Reward
-from gctd3.tasks.walk import WalkingTask
+from gctd3.envs.settings import Backend, EnvSettings
+from gctd3.envs.simulation import Simulation
+from gctd3.robots.settings import RobotSettings
+from gctd3.tasks.reward import Reward
+from gctd3.tasks.task import Task, TaskSettings, check_backend
+from gctd3.tasks.walk import WalkSettings
 
-Backend = Literal["batched", "dm_control"]
-MOST_THREADS = 1024
-
-
-@dataclass(frozen=True)
-class EnvSettings:
-    """How the task is simulated and observed.
-
-    Attributes:
-        backend: ``batched`` steps all robots at once with MuJoCo; ``dm_control`` one after another with dm_control.
-        num_envs: Robots.
-        history: Frames stacked into an observation.
-        control_dt: Control period (s).
-        threads: Of the batched backend; all cores if ``None``.
-        check: Whether every step is checked by :class:`.CheckStep`.
-        start: Where episodes start.
-        endings: When they end.
-    """
-
-    backend: Backend = "batched"
-    num_envs: int = 64
-    history: int = 5
-    control_dt: float = 0.02
-    threads: int | None = None
-    check: bool = False
-    start: Start = field(default_factory=Start)
-    endings: Endings = field(default_factory=Endings)
-
-    def __post_init__(self) -> None:
-        check_between(self, 1, MOST_ROBOTS, "num_envs")
-        check_between(self, 1, MOST_FRAMES, "history")
-        if self.threads is not None and self.threads < 1:
-            raise ConfigError(f"threads must be at least 1, or null for all cores, got {self.threads}.")
-        check_between(self, 1, MOST_THREADS, "threads")
-        if not 0 < self.control_dt <= 1:
-            raise ConfigError(f"control_dt must be above 0 s and at most 1 s, got {self.control_dt}.")
-
-    def judging(self, episodes: int, threads: int | None = None) -> EnvSettings:
-        """The same task for one evaluation: a robot for each episode, all at once."""
-        return replace(self, backend="batched", num_envs=episodes, threads=threads)
+# An environment of one batch dimension, and what it lacks of the keys that every environment writes.
+Made = tuple[EnvBase, list[Transform]]
 
 
-def build_env(robot: Robot, settings: EnvSettings | LibrarySettings, reward: Reward, seed: int) -> EnvBase:
-    """The walking task on a robot, or a library's task on its own, whose reward is its own too.
+def _batched(task: Any, settings: EnvSettings, seed: int) -> Made:  # noqa: ANN401 - each backend takes its own tasks
+    return BatchedEnv(Simulation(task, settings.num_envs, seed, settings.threads)), []
+
+
+def _dm_control(task: Any, settings: EnvSettings, seed: int) -> Made:  # noqa: ANN401
+    from gctd3.envs import dmc  # late: it takes long, and not every machine has it
+
+    def make(index: int) -> EnvBase:
+        return dmc.torchrl_env(task, seed + index)
+
+    robots = SerialRobots(settings.num_envs, [lambda i=i: make(i) for i in range(settings.num_envs)])
+    return robots, [DoubleToFloat(), InitTracker(), StepCounter()]
+
+
+def _library(task: Any, settings: EnvSettings, seed: int) -> Made:  # noqa: ANN401
+    return task.env(settings, seed), []
+
+
+BACKENDS: dict[Backend, Callable[[Any, EnvSettings, int], Made]] = {
+    "batched": _batched,
+    "dm_control": _dm_control,
+    "library": _library,
+}
+
+
+def build_env(task: Task, settings: EnvSettings, seed: int) -> EnvBase:
+    """Build an environment of a task.
 
     Returns:
-        An environment of batch size ``[num_envs]`` that writes ``nodes [N, 2 * history]`` (oldest frame first),
+        An environment of batch size ``[num_envs]`` that writes ``nodes [N, F * history]`` (oldest frame first),
         ``counters``, ``position`` (m), ``success``, ``is_init`` and ``step_count``.
 
     Raises:
-        ConfigError: If a setting is out of range, or the robot does not fit the task.
+        ConfigError: If the task does not run on the backend, or a setting does not fit its robot.
     """
-    if isinstance(settings, LibrarySettings):
-        return build_library_env(robot, settings, seed)
-    task = WalkingTask(robot, reward, settings.endings, settings.control_dt)
-    env: EnvBase
-    if settings.backend == "batched":
-        from gctd3.envs.batched import BatchedEnv
-
-        env = BatchedEnv(Simulation(task, settings.num_envs, settings.start, seed, settings.threads))
-        extras = []
-    elif settings.backend == "dm_control":
-        from gctd3.envs import dmc
-
-        def make(index: int) -> EnvBase:
-            return dmc.torchrl_env(task, settings.start, seed + index)
-
-        env = SerialRobots(settings.num_envs, [lambda i=i: make(i) for i in range(settings.num_envs)])
-        extras = [DoubleToFloat(), InitTracker(), StepCounter()]
-    else:
-        raise ConfigError(f"backend must be batched or dm_control, got {settings.backend!r}.")
-    stack = CatFrames(N=settings.history, dim=-1, in_keys=["nodes"], padding="same")
+    check_backend(task, settings.backend)
+    env, transforms = BACKENDS[settings.backend](task, settings, seed)
+    stack = CatFrames(N=task.history, dim=-1, in_keys=["nodes"], padding="same")
     checks = [CheckStep()] if settings.check else []
-    return TransformedEnv(env, Compose(*extras, stack, *checks))
+    return TransformedEnv(env, Compose(*transforms, stack, *checks))
 
 
 @dataclass(frozen=True)
@@ -105,25 +78,20 @@ class EnvRecipe:
     """All that it takes to make an environment, in another process too.
 
     Attributes:
-        robot: The robot.
-        settings: How it is simulated.
-        reward: Of the walking task.
+        task: The task.
+        settings: Where it is stepped.
     """
 
-    robot: Robot
-    settings: EnvSettings | LibrarySettings
-    reward: Reward
+    task: Task
+    settings: EnvSettings
 
     def share(self, num_envs: int, threads: int) -> EnvRecipe:
-        """Return the recipe for some of the robots, simulated by ``threads`` threads."""
-        settings = replace(self.settings, num_envs=num_envs)
-        if isinstance(settings, EnvSettings):
-            settings = replace(settings, threads=threads)
-        return replace(self, settings=settings)
+        """Return the recipe for some of the robots, stepped by ``threads`` threads."""
+        return replace(self, settings=self.settings.share(num_envs, threads))
 
     def make(self, seed: int) -> EnvBase:
         """Make the environment; see :func:`build_env`."""
-        return build_env(self.robot, self.settings, self.reward, seed)
+        return build_env(self.task, self.settings, seed)
 
 
 def make_env(
@@ -133,13 +101,24 @@ def make_env(
     history: int = 5,
     seed: int = 0,
     reward: Reward | None = None,
+    task: TaskSettings | None = None,
 ) -> EnvBase:
-    """The walking task by the name of a robot, or the path of its MJCF; see :func:`build_env`.
+    """Make an environment of a robot by its name, or the path of its MJCF; see :func:`build_env`.
+
+    Args:
+        robot: A shipped robot, or the path of an MJCF file.
+        num_envs: Robots.
+        backend: ``batched`` or ``dm_control``.
+        history: Frames stacked into an observation.
+        seed: Of the starts.
+        reward: The reward; the paper's by default.
+        task: The rest of what is asked; the paper's walk by default.
 
     Example:
         >>> env = make_env("biped", num_envs=3, seed=0)
         >>> env.reset()["nodes"].shape
         torch.Size([3, 8, 10])
     """
-    settings = EnvSettings(backend=backend, num_envs=num_envs, history=history)
-    return build_env(Robot.from_mjcf(robot), settings, reward if reward is not None else Reward(), seed)
+    asked = replace(task or WalkSettings(), history=history)
+    built = asked.build(RobotSettings(robot), reward or Reward())
+    return build_env(built, EnvSettings(backend=backend, num_envs=num_envs), seed)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -11,14 +11,16 @@ from gymnasium.vector.utils import batch_space
 
 from gctd3.envs.simulation import Simulation
 from gctd3.errors import ConfigError
-from gctd3.robots.robot import Robot
+from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.reward import Reward
-from gctd3.tasks.walk import FEATURES, WalkingTask
+from gctd3.tasks.simulated_task import SimulatedTask
+from gctd3.tasks.task import TaskSettings, check_backend
+from gctd3.tasks.walk import WalkSettings
 
 
-def _spaces(task: WalkingTask, history: int) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
-    shape = (len(task.nodes), FEATURES * history)
-    actions = len(task.robot.actuated)
+def _spaces(task: SimulatedTask, history: int) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
+    shape = (task.graph.num_nodes, task.features * history)
+    actions = task.facts.actions
     return (
         gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32),
         gymnasium.spaces.Box(-1.0, 1.0, (actions,), np.float32),
@@ -34,10 +36,11 @@ class BipedVectorEnv(VectorEnv):
         num_envs: Robots.
         robot: A shipped robot, or the path of an MJCF file.
         history: Frames stacked into an observation.
-        reward: The reward's weights; the paper's by default.
+        reward: The reward; the paper's by default.
         threads: That simulate; all cores if ``None``.
+        task: The rest of what is asked; the paper's walk by default.
 
-    Observation: ``float32 [num_envs, N, 2 * history]``, oldest frame first. Action: ``[num_envs, A]`` in [-1, 1].
+    Observation: ``float32 [num_envs, N, F * history]``, oldest frame first. Action: ``[num_envs, A]`` in [-1, 1].
     Info: ``success``, ``position`` (m) and the reward's terms, each ``[num_envs]``.
     """
 
@@ -48,17 +51,20 @@ class BipedVectorEnv(VectorEnv):
         history: int = 5,
         reward: Reward | None = None,
         threads: int | None = None,
+        task: TaskSettings | None = None,
     ) -> None:
         if history < 1:
             raise ConfigError(f"history must be at least 1, got {history}.")
-        task = WalkingTask(Robot.from_mjcf(robot), reward)
-        self.simulation = Simulation(task, num_envs, threads=threads)
+        asked = (task or WalkSettings()).build(RobotSettings(robot), reward or Reward())
+        check_backend(asked, "batched")
+        one = cast(SimulatedTask, asked)
+        self.simulation = Simulation(one, num_envs, threads=threads)
         self.num_envs = num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}
-        self.single_observation_space, self.single_action_space = _spaces(task, history)
+        self.single_observation_space, self.single_action_space = _spaces(one, history)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        nodes = (len(task.nodes), FEATURES * history)
+        nodes = (one.graph.num_nodes, one.features * history)
         self._stack: np.ndarray = np.zeros((num_envs, *nodes), dtype=np.float32)
         self._ended = np.zeros(num_envs, dtype=bool)
 
@@ -79,8 +85,8 @@ class BipedVectorEnv(VectorEnv):
         """One control step of every robot, or the first frame of a new episode."""
         begins = self._ended
         outcome = self.simulation.step(np.asarray(actions, dtype=np.float64))
-        frame = self.simulation.task.node_features(self.simulation.now)
-        self._stack = np.concatenate([self._stack[..., FEATURES:], frame], axis=-1)
+        frame = self._frame()
+        self._stack = np.concatenate([self._stack[..., frame.shape[-1] :], frame], axis=-1)
         reward = np.where(begins, 0.0, outcome.reward)
         terminated, truncated = outcome.terminated & ~begins, outcome.truncated & ~begins
         if begins.any():
@@ -93,10 +99,13 @@ class BipedVectorEnv(VectorEnv):
         }
         return self._stack.copy(), reward, terminated, truncated, info
 
+    def _frame(self) -> np.ndarray:
+        return self.simulation.task.node_features(self.simulation.now, self.simulation.memory)
+
     def _begin(self, mask: np.ndarray) -> None:
         self.simulation.reset(mask)
-        frame = self.simulation.task.node_features(self.simulation.now)
-        repeated = np.tile(frame, (1, 1, self._stack.shape[-1] // FEATURES))
+        frame = self._frame()
+        repeated = np.tile(frame, (1, 1, self._stack.shape[-1] // frame.shape[-1]))
         self._stack = np.where(mask[:, None, None], repeated, self._stack)
 
 
@@ -106,13 +115,20 @@ class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Args:
         robot: A shipped robot, or the path of an MJCF file.
         history: Frames stacked into an observation.
-        reward: The reward's weights; the paper's by default.
+        reward: The reward; the paper's by default.
+        task: The rest of what is asked; the paper's walk by default.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - Gymnasium's name and type
 
-    def __init__(self, robot: str = "biped", history: int = 5, reward: Reward | None = None) -> None:
-        self._one = BipedVectorEnv(1, robot, history, reward, threads=1)
+    def __init__(
+        self,
+        robot: str = "biped",
+        history: int = 5,
+        reward: Reward | None = None,
+        task: TaskSettings | None = None,
+    ) -> None:
+        self._one = BipedVectorEnv(1, robot, history, reward, threads=1, task=task)
         self.observation_space = self._one.single_observation_space
         self.action_space = self._one.single_action_space
 

@@ -11,7 +11,9 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 
 from gctd3.envs.nodes import NodeSensor, simulator
-from gctd3.envs.robots_env import RobotsEnv, column, ends
+from gctd3.envs.robot_state import load_robot_state, robot_state
+from gctd3.envs.robots_env import Glance, RobotsEnv, column, ends
+from gctd3.robots.nodes import foot_slots
 
 
 def observed(env: EnvBase) -> list[str]:
@@ -33,8 +35,7 @@ class LibraryRobots(RobotsEnv):
         static: Whether nodes also say what they are (:meth:`.NodeSensor.static`).
 
     Writes what every :class:`.RobotsEnv` does: ``position``, the way forward from the world's origin; ``success`` and
-    ``diverged``, which are never true; ``counters``, of which there is none; ``sensed``, if ``nodes`` is or holds
-    something else.
+    ``diverged``, which are never true; ``counters``, of which there is none.
 
     Attributes:
         robots: See above.
@@ -54,15 +55,14 @@ class LibraryRobots(RobotsEnv):
         nodes = sensed if says is None else (sensed[0], sensed[1] + says.shape[1])
         if own:
             nodes = 1, sum(robots[0].observation_spec[key].shape.numel() for key in own)
-        beside = sensed if own or static else None
-        super().__init__(n, nodes, 0, robots[0].action_spec.shape[-1], beside)
+        super().__init__(n, nodes, 0, robots[0].action_spec.shape[-1])
         self._flat, self._static = own, says
         # Not as a ModuleList: their parameters and states are none of this module's.
         self.__dict__["robots"], self.__dict__["sensor"] = list(robots), sensor
         self.seen = {"nodes": np.zeros((n, *nodes), np.float32), "position": np.zeros((n, 1), np.float32)}
         self.seen |= {"is_init": np.ones((n, 1), dtype=bool), "step_count": np.zeros((n, 1), dtype=np.int64)}
-        if beside is not None:
-            self.seen["sensed"] = np.zeros((n, *beside), np.float32)
+        # What the nodes sense, whatever is observed of it.
+        self.sensed = np.zeros((n, *sensed), np.float32)
         # Gymnasium's tasks reckon with the precision of the action that they get.
         self._precision = np.float64 if robots[0].action_spec.dtype == torch.float64 else np.float32
 
@@ -71,8 +71,7 @@ class LibraryRobots(RobotsEnv):
         model, data = simulator(robot)
         sensed = self.sensor.read(model, data)
         self.seen["position"][index] = self.sensor.position(data)
-        if "sensed" in self.seen:
-            self.seen["sensed"][index] = sensed
+        self.sensed[index] = sensed
         if self._flat:
             parts = robot.read_obs(observation)
             sensed = np.concatenate([np.ravel(parts[key]) for key in self._flat])[None]
@@ -123,6 +122,28 @@ class LibraryRobots(RobotsEnv):
 
     def _set_seed(self, seed: int | None) -> None:
         self.set_seed(seed)
+
+    def glance(self) -> Glance:
+        """Look at the robots as they are now; ball joints are no hips."""
+        robot, graph, half = self.sensor.robot, self.sensor.graph, self.sensor.features // 2
+        hips = [graph.nodes.index(leg[0].name) for leg in robot.legs]
+        node, place = foot_slots(robot).T
+        # Of the two contacts of a ground node the second stands where velocities do.
+        return Glance(
+            self.sensed[:, 0, 0], self.sensed[:, hips, 0] * robot.hip_signs, self.sensed[:, node, place * half] > 0.5
+        )
+
+    def checkpoint(self) -> dict[str, Any]:
+        """Return the simulators' and tasks' states, and what was observed last."""
+        seen = {key: np.array(values) for key, values in self.seen.items()}
+        return {"robots": [robot_state(robot) for robot in self.robots], "seen": seen, "sensed": self.sensed.copy()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Set what :meth:`checkpoint` gave."""
+        for robot, one in zip(self.robots, state["robots"], strict=True):
+            load_robot_state(robot, one)
+        self.seen = {key: np.array(values) for key, values in state["seen"].items()}
+        self.sensed = np.array(state["sensed"])
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """End all of them."""

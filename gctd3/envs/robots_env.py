@@ -1,12 +1,31 @@
-"""What every environment of N robots at once has: its specs, its ends, and who is to be reset."""
+"""What every environment of N robots at once has: its specs, its ends, who is to be reset, and what is seen of it."""
 
 from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
+
+
+@dataclass(frozen=True)
+class Glance:
+    """What is seen of robots beside what their policies observe, for who judges them.
+
+    Attributes:
+        height: Body height from standing, shape ``[N]`` (m).
+        hips: Angles of the hips, one a leg, in the sense of their mirror images, shape ``[N, feet]`` (rad).
+        feet_down: Whether each foot touches the ground, shape ``[N, feet]``.
+    """
+
+    height: np.ndarray
+    hips: np.ndarray
+    feet_down: np.ndarray
 
 
 class RobotsEnv(EnvBase):
@@ -21,12 +40,9 @@ class RobotsEnv(EnvBase):
         nodes: Shape of a robot's nodes.
         counters: Numbers in its counters.
         actions: ``A``.
-        sensed: Shape of ``sensed``, what the nodes sense; ``None`` if ``nodes`` is that.
     """
 
-    def __init__(
-        self, robots: int, nodes: tuple[int, int], counters: int, actions: int, sensed: tuple[int, int] | None = None
-    ) -> None:
+    def __init__(self, robots: int, nodes: tuple[int, int], counters: int, actions: int) -> None:
         n = robots
         super().__init__(batch_size=torch.Size([n]))
         flag = Binary(1, shape=(n, 1), dtype=torch.bool)
@@ -40,11 +56,21 @@ class RobotsEnv(EnvBase):
             step_count=Bounded(low=0, high=torch.iinfo(torch.int64).max, shape=(n, 1), dtype=torch.int64),
             shape=(n,),
         )
-        if sensed is not None:
-            self.observation_spec["sensed"] = Unbounded((n, *sensed))
         self.action_spec = Bounded(low=-1.0, high=1.0, shape=(n, actions))
         self.reward_spec = Unbounded((n, 1))
         self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=(n,))
+
+    @abstractmethod
+    def glance(self) -> Glance:
+        """Look at the robots as they are now."""
+
+    @abstractmethod
+    def checkpoint(self) -> dict[str, Any]:
+        """Return everything that the next steps depend on, but the actions; arrays are copies."""
+
+    @abstractmethod
+    def restore(self, state: dict[str, Any]) -> None:
+        """Set what :meth:`checkpoint` gave."""
 
     def chosen(self, tensordict: TensorDictBase | None) -> np.ndarray:
         """The robots that a reset is for, bool ``[N]``: all, if it does not say."""

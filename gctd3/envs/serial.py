@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import torch
-from torchrl.envs import SerialEnv
+from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
+
+from gctd3.envs.robot_state import load_robot_state, robot_state
 
 
 class SerialRobots(SerialEnv):
@@ -12,6 +17,19 @@ class SerialRobots(SerialEnv):
     TorchRL raises it then, even when an environment that was forgotten is collected in the middle of another training,
     whose sums would differ from there on in their last bits.
     """
+
+    def checkpoint(self) -> dict[str, Any]:
+        """Return the state of every robot; their transforms have none."""
+        return {"robots": [robot_state(one) for one in self._robots()]}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Set what :meth:`checkpoint` gave."""
+        for one, robot in zip(self._robots(), state["robots"], strict=True):
+            load_robot_state(one, robot)
+
+    def _robots(self) -> Iterator[EnvBase]:
+        for one in self._envs:
+            yield one.base_env if isinstance(one, TransformedEnv) else one
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """End all of them."""

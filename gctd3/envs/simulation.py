@@ -1,40 +1,24 @@
-"""N robots of one kind stepped together by MuJoCo's rollout pool, with the walking task on top. NumPy in and out."""
+"""N robots of one kind stepped together by MuJoCo's rollout pool, with a task on top. NumPy in and out."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import mujoco.rollout
 import numpy as np
 
-from gctd3.errors import ConfigError, NumericalError, RobotError, check_between
+from gctd3.errors import ConfigError, NumericalError, RobotError
 from gctd3.robots.robot import Robot
-from gctd3.tasks.step_records import Measurement, Outcome, Progress, from_dict, put, take, to_dict
-from gctd3.tasks.walk import WalkingTask
+from gctd3.tasks.measurement import Measurement, put_rows
+from gctd3.tasks.memory import Memory
+from gctd3.tasks.outcome import Outcome
+from gctd3.tasks.simulated_task import SimulatedTask
 
 MOST_SUBSTEPS = 1000
 # Of the simulator's clock (s). Not 0: MuJoCo sets it to that when it starts a robot anew, which is how that is seen.
 BEGINNING = 1.0
-
-
-@dataclass(frozen=True)
-class Start:
-    """Where an episode starts: :attr:`.Robot.start_qpos`, each joint off by a uniform random amount.
-
-    Attributes:
-        angle_noise: Largest deviation of a joint's angle (rad).
-        velocity_noise: Largest deviation of a joint's velocity (rad/s).
-    """
-
-    angle_noise: float = 0.05
-    velocity_noise: float = 0.1
-
-    def __post_init__(self) -> None:
-        check_between(self, 0, 10, "angle_noise")
-        check_between(self, 0, 1000, "velocity_noise")
 
 
 class Simulation:
@@ -43,8 +27,7 @@ class Simulation:
     Args:
         task: The task; it holds the robot.
         num_robots: Robots stepped together.
-        start: Where episodes start.
-        seed: Of the starts.
+        seed: Of the starts and commands.
         threads: Of the pool; all cores if ``None``. Results do not depend on it.
 
     Raises:
@@ -53,9 +36,8 @@ class Simulation:
 
     def __init__(
         self,
-        task: WalkingTask,
+        task: SimulatedTask,
         num_robots: int,
-        start: Start | None = None,
         seed: int = 0,
         threads: int | None = None,
     ) -> None:
@@ -68,7 +50,6 @@ class Simulation:
         self.model = task.robot.model
         self.num_robots = num_robots
         self.substeps = substeps_of(task.control_dt, task.robot)
-        self.start = start if start is not None else Start()
         self.rng = np.random.default_rng(seed)
         low, high = task.robot.action_range.T
         self._middle, self._half = (high + low) / 2, (high - low) / 2
@@ -86,7 +67,7 @@ class Simulation:
         self.now: Measurement = task.measure(
             self.state[:, self._qpos], self.state[:, self._qvel], np.zeros((num_robots, self.model.nsensordata))
         )
-        self.progress: Progress = task.begin(self.now)
+        self.memory: Memory = task.begin(self.now, self.rng)
 
     @property
     def qpos(self) -> np.ndarray:
@@ -104,25 +85,19 @@ class Simulation:
         if not len(robots):
             return
         task, model = self.task, self.model
-        joints_q = [joint.qpos for joint in task.robot.joints]
-        joints_v = [joint.qvel for joint in task.robot.joints]
         sensors = np.zeros((len(robots), model.nsensordata))
         data = self._data[0]
         for i, robot in enumerate(robots):
             mujoco.mj_resetData(model, data)
             data.time = BEGINNING
-            data.qpos[:] = task.robot.start_qpos
-            data.qpos[joints_q] += self.rng.uniform(-self.start.angle_noise, self.start.angle_noise, len(joints_q))
-            data.qvel[joints_v] += self.rng.uniform(
-                -self.start.velocity_noise, self.start.velocity_noise, len(joints_v)
-            )
+            data.qpos[:], data.qvel[:] = task.start(self.rng)
             mujoco.mj_forward(model, data)
             # All of it: actuators can have a state of their own.
             mujoco.mj_getState(model, data, self.state[robot], mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
             sensors[i] = data.sensordata
         fresh = task.measure(self.state[robots, self._qpos], self.state[robots, self._qvel], sensors)
-        self.now = put(self.now, robots, fresh)
-        self.progress = put(self.progress, robots, task.begin(fresh))
+        self.now = self.now.put(robots, fresh)
+        self.memory = put_rows(self.memory, robots, task.begin(fresh, self.rng))
 
     def step(self, action: np.ndarray) -> Outcome:
         """One control step of every robot; ``action [N, A]`` in [-1, 1] maps affinely onto the servos' ranges.
@@ -150,8 +125,8 @@ class Simulation:
         self.state = np.where(diverged[:, None], before, self.state)
         now = self.task.measure(self.state[:, self._qpos], self.state[:, self._qvel], self._sensors[:, -1])
         robots = np.flatnonzero(diverged)
-        self.now = put(now, robots, take(self.now, robots)) if len(robots) else now
-        self.progress, outcome = self.task.advance(self.progress, self.now, diverged)
+        self.now = now.put(robots, self.now.take(robots)) if len(robots) else now
+        self.memory, outcome = self.task.advance(self.memory, self.now, action, diverged, self.rng)
         return outcome
 
     def desired(self, action: np.ndarray) -> np.ndarray:
@@ -169,16 +144,16 @@ class Simulation:
         """Everything that the next steps depend on, but the actions."""
         return {
             "state": self.state.copy(),
-            "now": to_dict(self.now),
-            "progress": to_dict(self.progress),
+            "now": self.now.to_dict(),
+            "memory": {name: np.array(values) for name, values in self.memory.items()},
             "rng": self.rng.bit_generator.state,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore :meth:`state_dict`."""
         self.state = np.array(state["state"])
-        self.now = from_dict(Measurement, state["now"])
-        self.progress = from_dict(Progress, state["progress"])
+        self.now = Measurement.from_dict(state["now"])
+        self.memory = {name: np.array(values) for name, values in state["memory"].items()}
         self.rng.bit_generator.state = state["rng"]
 
 
@@ -197,7 +172,7 @@ def substeps_of(control_dt: float, robot: Robot) -> int:
     if not 0.5 < ratio < MOST_SUBSTEPS + 0.5 or abs(round(ratio) * timestep - control_dt) > 1e-9:
         nearest = timestep * min(max(round(ratio), 1), MOST_SUBSTEPS)
         raise ConfigError(
-            f"env.control_dt must be 1 to {MOST_SUBSTEPS:,} times {timestep:g} s, the timestep of {robot.path}, "
+            f"task.control_dt must be 1 to {MOST_SUBSTEPS:,} times {timestep:g} s, the timestep of {robot.path}, "
             f"got {control_dt:g} s: the nearest that fits is {nearest:g} s."
         )
     return round(ratio)

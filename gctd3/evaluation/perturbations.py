@@ -12,10 +12,9 @@ import torch
 from tensordict import TensorDictBase
 
 from gctd3.envs.simulation import Simulation
-from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.mjcf import bodies_below
 from gctd3.robots.robot import Robot
-from gctd3.tasks.walk import FEATURES
+from gctd3.tasks.simulated_task import SimulatedTask
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 
@@ -93,7 +92,7 @@ class Noisy:
 
     Args:
         policy: The policy; this is one for a single episode of every robot.
-        deviation: Standard deviation of every feature of a frame, shape ``[N, 2]``; see :func:`sensor_deviation`.
+        deviation: Standard deviation of every feature of a frame, shape ``[N, F]``; see :func:`sensor_deviation`.
         seed: Of the noise.
     """
 
@@ -105,32 +104,28 @@ class Noisy:
     def __call__(self, state: TensorDictBase) -> TensorDictBase:
         """Act on ``state``, whose ``nodes`` stay as they are."""
         nodes = state["nodes"]
-        fresh = self.deviation * torch.randn((*nodes.shape[:-1], FEATURES), generator=self._generator)
+        fresh = self.deviation * torch.randn((*nodes.shape[:-1], self.deviation.shape[-1]), generator=self._generator)
         if self._noise is None:
             # As the frame of the reset fills the whole stack, so does its error.
-            self._noise = torch.cat([fresh] * (nodes.shape[-1] // FEATURES), dim=-1)
+            self._noise = torch.cat([fresh] * (nodes.shape[-1] // fresh.shape[-1]), dim=-1)
         else:
-            self._noise = torch.cat([self._noise[..., FEATURES:], fresh], dim=-1)
+            self._noise = torch.cat([self._noise[..., fresh.shape[-1] :], fresh], dim=-1)
         seen = state.clone(recurse=False).set("nodes", nodes + self._noise)
         return state.set("action", self.policy(seen)["action"])
 
 
-def sensor_deviation(robot: Robot, angle: float, velocity: float, length: float, speed: float) -> torch.Tensor:
-    """Standard deviations of the errors of every node's two features in a frame, shape ``[N, 2]``; contacts are sure.
+def sensor_deviation(task: SimulatedTask, angle: float, velocity: float, length: float, speed: float) -> torch.Tensor:
+    """Return standard deviations of the errors of every node's features in a frame, ``[N, F]``; contacts are sure.
 
     Args:
-        robot: The robot.
+        task: The task, whose nodes sense something.
         angle: Of angles (rad).
         velocity: Of angular velocities (rad/s).
         length: Of the body's height, and its way to the side (m).
         speed: Of the body's velocities (m/s).
     """
-    kinds = KinematicGraph.from_robot(robot).kinds
-    base = [(length, speed) if name == "side" else (angle, velocity) for name in robot.base.extra]
-    joints, grounds = kinds.count("hinge"), kinds.count("ground")
-    # In the nodes' order, see gctd3.robots.nodes.
-    rows = [(length, speed), *base, *[(angle, velocity)] * joints, *[(0.0, 0.0)] * grounds]
-    return torch.tensor(rows, dtype=torch.float32)
+    errors = {"angle": angle, "angular velocity": velocity, "length": length, "velocity": speed}
+    return torch.from_numpy(task.table.deviations(errors).astype(np.float32))
 
 
 class Shoved:

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError, check_between
 from gctd3.evaluation.gait_metrics import SHORTEST_SWING
 from gctd3.evaluation.perturbations import Delayed, Noisy, Policy, Shoved, altered, resting_action, sensor_deviation
 from gctd3.evaluation.recorder import total_mass
 from gctd3.evaluation.rollout import evaluate
-from gctd3.robots.robot import Robot
-from gctd3.tasks.reward import Reward
+from gctd3.tasks.simulated_task import SimulatedTask
 
 DIRECTIONS = {"forward": 1.0, "backward": -1.0}
 AS_TRAINED = "as trained"
@@ -76,17 +76,15 @@ class Examination:
 
     Attributes:
         policy: The policy.
-        robot: For which it was trained.
-        env: How it is simulated; its number of robots is that of the episodes of each condition.
-        reward: Under which it is judged.
+        task: On which it is judged.
+        env: Where it is stepped; its number of robots is that of the episodes of each condition.
         seed: Of the starts and of the noise.
         perturbations: What is tried.
     """
 
     policy: Policy
-    robot: Robot
+    task: SimulatedTask
     env: EnvSettings
-    reward: Reward
     seed: int
     perturbations: Perturbations
 
@@ -98,33 +96,32 @@ class Examination:
         """
         conditions: dict[str, dict[str, float | int]] = {}
         with tqdm(self._conditions().items(), desc="trying", unit=" condition") as bar:
-            for name, (policy, robot) in bar:
-                conditions[name] = self._judged(policy, robot)
+            for name, (policy, task) in bar:
+                conditions[name] = self._judged(policy, task)
         return {
             "perturbations": asdict(self.perturbations),
-            "mass_kg": total_mass(self.robot),
+            "mass_kg": total_mass(self.task.robot),
             "seed": self.seed,
             "conditions": conditions,
             "shoves": None if stride_time is None else self.shoves(stride_time),
         }
 
-    def _conditions(self) -> dict[str, tuple[Policy, Robot]]:
-        p, robot = self.perturbations, self.robot
-        noise = sensor_deviation(robot, p.angle_noise, p.velocity_noise, p.height_noise, p.speed_noise)
-        found: dict[str, tuple[Policy, Robot]] = {AS_TRAINED: (self.policy, robot)}
+    def _conditions(self) -> dict[str, tuple[Policy, SimulatedTask]]:
+        p, task, robot = self.perturbations, self.task, self.task.robot
+        noise = sensor_deviation(task, p.angle_noise, p.velocity_noise, p.height_noise, p.speed_noise)
+        found: dict[str, tuple[Policy, SimulatedTask]] = {AS_TRAINED: (self.policy, task)}
         for factor in p.masses:
-            found[f"mass {_percent(factor)}"] = self.policy, altered(robot, mass=factor)
+            found[f"mass {_percent(factor)}"] = self.policy, task.on(altered(robot, mass=factor))
         for factor in p.frictions:
-            found[f"friction {_percent(factor)}"] = self.policy, altered(robot, friction=factor)
+            found[f"friction {_percent(factor)}"] = self.policy, task.on(altered(robot, friction=factor))
         for steps in p.delays:
             late = Delayed(self.policy, steps, resting_action(robot))
-            found[f"actions {steps} step{'s' * (steps != 1)} late"] = late, robot
-        found["sensor noise"] = Noisy(self.policy, noise, self.seed), robot
+            found[f"actions {steps} step{'s' * (steps != 1)} late"] = late, task
+        found["sensor noise"] = Noisy(self.policy, noise, self.seed), task
         return found
 
-    def _judged(self, policy: Policy, robot: Robot) -> dict[str, float | int]:
-        env = build_env(robot, self.env, self.reward, self.seed)
-        return evaluate(policy, env, robot, self.seed, self.env.control_dt).summary()
+    def _judged(self, policy: Policy, task: SimulatedTask) -> dict[str, float | int]:
+        return evaluate(policy, build_env(task, self.env, self.seed), task, self.seed).summary()
 
     def shoves(self, stride_time: float) -> dict[str, Any]:
         """Every impulse at every phase in both directions, all at once.
@@ -132,12 +129,12 @@ class Examination:
         ``survived`` is the share of starts, by direction, phase and impulse, ``None`` where nobody got that far;
         ``largest`` the impulse (N s) up to which all survive, by direction and phase.
         """
-        p, dt = self.perturbations, self.env.control_dt
+        p, dt = self.perturbations, self.task.control_dt
         period = stride_time / dt
         shape = (len(DIRECTIONS), p.phases, len(p.impulses), p.starts)
         direction, phase, impulse, _ = (axis.ravel() for axis in np.indices(shape))
         signs = np.array(list(DIRECTIONS.values()))
-        env = build_env(self.robot, self.env.judging(direction.size, self.env.threads), self.reward, self.seed)
+        env = build_env(self.task, self.env.judging(direction.size, self.env.threads), self.seed)
         shoved = Shoved(
             self.policy,
             env.base_env.simulation,
@@ -146,7 +143,7 @@ class Examination:
             p.settle,
             max(1, round(SHORTEST_SWING * period)),
         )
-        episodes = evaluate(shoved, env, self.robot, self.seed, dt).episodes
+        episodes = evaluate(shoved, env, self.task, self.seed).episodes
         lasted = np.array([len(episode.reward) for episode in episodes]) - shoved.shoved_at
         stood = (lasted >= p.recover / dt) | np.array([episode.success for episode in episodes])
         # Whoever fell before goes on being simulated, but its episode is over.

@@ -11,13 +11,11 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from gctd3.data.finite import check_finite
+from gctd3.envs.robots_env import Glance
 from gctd3.errors import ConfigError, check_seed
 from gctd3.evaluation.episode import Episode
 from gctd3.evaluation.recorder import Recorder
-from gctd3.robots.graph import KinematicGraph
-from gctd3.robots.nodes import foot_slots
-from gctd3.robots.robot import Robot
-from gctd3.tasks.walk import FEATURES
+from gctd3.tasks.task import Task
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,28 +82,23 @@ class Evaluation:
         return {"episodes": len(gaits), **averages}
 
 
-def evaluate(
-    policy: TensorDictModuleBase, env: EnvBase, robot: Robot, seed: int, control_dt: float, record: bool = False
-) -> Evaluation:
+def evaluate(policy: TensorDictModuleBase, env: EnvBase, task: Task, seed: int, record: bool = False) -> Evaluation:
     """Run one episode on every robot of ``env``.
 
     Args:
         policy: Reads ``"nodes"``, writes ``"action"``; its mode is taken if it is stochastic.
         env: Of :func:`gctd3.envs.factory.build_env`, batch size ``[episodes]``.
-        robot: Its robot.
+        task: What the robots are asked.
         seed: Of the starts: equal seeds, equal starts.
-        control_dt: Control period (s).
         record: Whether to keep each episode's motion; only for the batched backend.
 
     Raises:
         NumericalError: If an action of the policy is not finite.
     """
-    names = KinematicGraph.from_robot(robot).nodes
-    ground, feature = foot_slots(robot).T
-    hips = [names.index(leg[0].name) for leg in robot.legs]
-    count = env.batch_size[0]
+    count, robot = env.batch_size[0], task.robot
     alive = torch.ones(count, dtype=torch.bool)
     frames: list[tuple[torch.Tensor, ...]] = []
+    glances: list[Glance] = []
     # TorchRL seeds the global generator along with the environment's: a fork keeps that out of the training.
     with torch.random.fork_rng(devices=[]), torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         env.set_seed(seed)
@@ -118,27 +111,29 @@ def evaluate(
             if recorder is not None:
                 recorder.add(acting["action"].numpy().astype(np.float64))
             after = state["next"]
-            # A policy that sees something else, or more, has what the nodes sense beside it.
-            newest = after.get("sensed", after["nodes"])[..., -FEATURES:]
-            frames.append((alive, after["reward"][:, 0], after["position"][:, 0], newest, after["success"][:, 0]))
+            glances.append(env.base_env.glance())
+            frames.append((alive, after["reward"][:, 0], after["position"][:, 0], after["success"][:, 0]))
             alive = alive & ~after["done"][:, 0]
             state = step_mdp(state)
-    lived, reward, position, nodes, success = (torch.stack(column).numpy() for column in zip(*frames, strict=True))
+    lived, reward, position, success = (torch.stack(column).numpy() for column in zip(*frames, strict=True))
+    # As precise as what policies observe.
+    height = np.stack([glance.height for glance in glances]).astype(np.float32)
+    hips = np.stack([glance.hips for glance in glances]).astype(np.float32).astype(np.float64)
+    feet_down = np.stack([glance.feet_down for glance in glances])
     lengths = [int(steps) for steps in lived.sum(axis=0)]
     motions = recorder.motions(lengths) if recorder is not None else [None] * count
     episodes = []
     for i, steps in enumerate(lengths):
-        mine = nodes[:steps, i]
         episodes.append(
             Episode(
                 reward=reward[:steps, i].astype(np.float64),
                 position=position[:steps, i],
-                height=mine[:, 0, 0],
-                hips=mine[:, hips, 0] * robot.hip_signs,
-                feet_down=mine[:, ground, feature] > 0.5,
-                pairs=tuple((i, other) for i, other in enumerate(robot.mirror_feet) if i < other),
+                height=height[:steps, i],
+                hips=hips[:steps, i],
+                feet_down=feet_down[:steps, i],
+                pairs=tuple((one, other) for one, other in enumerate(robot.mirror_feet) if one < other),
                 success=bool(success[:steps, i].any()),
                 motion=motions[i],
             )
         )
-    return Evaluation(episodes, control_dt)
+    return Evaluation(episodes, task.control_dt)

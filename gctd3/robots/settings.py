@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from gctd3.errors import check_seed
+from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
 
 
@@ -38,3 +39,7 @@ class RobotSettings:
             RobotError: If it cannot be used.
         """
         return Robot.from_mjcf(self.name, self.feet if feet is None else feet, self.forward)
+
+    def graph_of(self, robot: Robot) -> KinematicGraph:
+        """Build the graph over a robot."""
+        return KinematicGraph.from_robot(robot, self.graph, self.graph_seed)

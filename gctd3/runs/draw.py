@@ -7,15 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from omegaconf import DictConfig
 
-from gctd3.config.command_line import command
 from gctd3.errors import ConfigError, check_between, check_seed
 from gctd3.files import new_file
+from gctd3.runs.load import load_run
 from gctd3.viz.film import check_camera, check_video, draw, record, sheet, stride, write_animation
 from gctd3.viz.offscreen import find_backend
-from gctd3.runs.load import load_walk
-from gctd3.config.build import build
 
 MOST_PIXELS = 16_384  # of a frame's side
 
@@ -76,21 +73,23 @@ def render_run(settings: RenderSettings) -> Path:
         RunError: If it is no run, or not of the walking task.
         RenderError: If there is nothing to draw with, or no package for videos.
     """
-    (policy, robot, env), out = load_walk(settings.run), Path(settings.out)
+    run, out = load_run(settings.run), Path(settings.out)
+    task = run.task("film")
+    policy, robot = run.policy(), task.robot
     # All that could be missing, before the walk.
     check_camera(robot, settings.camera)
     find_backend()
     if out.suffix == ".mp4":
         check_video()
-    dt, size = env.control_dt, (settings.width, settings.height)
+    dt, size = task.control_dt, (settings.width, settings.height)
     if out.suffix != ".png":
         most = None if settings.seconds is None else max(1, round(settings.seconds / dt))
-        walk = record(policy, robot, env, settings.seed, most)
+        walk = record(policy, task, settings.seed, most)
         every = stride(settings.speed, dt)
         frames = draw(walk, robot, np.arange(0, len(walk.qpos), every), settings.camera, size, dt)
         write_animation(out, frames, settings.speed / (every * dt))
         return out
-    walk = record(policy, robot, env, settings.seed)
+    walk = record(policy, task, settings.seed)
     first = int(np.argmax(walk.position >= min(settings.begin, walk.position[-1] / 2)))
     steps = first + settings.every * np.arange(settings.columns * settings.rows)
     page = sheet(list(draw(walk, robot, steps[steps < len(walk.qpos)], settings.camera, size, dt)), settings.columns)

@@ -4,27 +4,22 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from omegaconf import DictConfig
 
-from gctd3.config.command_line import command
 from gctd3.envs.factory import build_env
-from gctd3.envs.library import LibrarySettings
-from gctd3.tasks.reward import Reward
 from gctd3.evaluation.episode import LAST_METRES, Episode
-from gctd3.errors import RunError
-from gctd3.evaluation.rollout import Judging, evaluate
-from gctd3.files import new_file, write_text
-from gctd3.evaluation.summary import OF_STRIDES, summarize, why_missing
-from gctd3.robots.robot import Robot
 from gctd3.evaluation.robustness import Examination, Perturbations
-from gctd3.evaluation.robustness import table as robustness_table
-from gctd3.config.build import build
+from gctd3.evaluation.rollout import Judging, evaluate
+from gctd3.evaluation.summary import OF_STRIDES, summarize, why_missing
+from gctd3.files import new_file, write_text
+from gctd3.robots.robot import Robot
+from gctd3.tasks.reward import Reward
+from gctd3.tasks.task import check_able
 
 # Table 5 of the paper, column GCTD3. Its body position seems to count from the spawn height, 0.0235 m above standing.
 PAPER = {"return_mean": 380.0, "return_std": 18.47, "velocity_mean": 1.414, "body_position_mean": -0.0202}
@@ -66,34 +61,31 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     Raises:
         RunError: If the directory is not a run, one of another version, or of a task that robustness is not for.
     """
+    from gctd3.runs.load import load_run
     from gctd3.training.checkpoint import versions
-    from gctd3.runs.load import load_policy
-    from gctd3.training.saved_configuration import find_run, load_settings
 
-    run, folder = find_run(settings.run), settings.folder
-    trained = load_settings(run)
-    if settings.robustness and isinstance(trained.env, LibrarySettings):
-        raise RunError(f"{run} was trained on {trained.env.task}: robustness is for the walking task only.")
-    policy = load_policy(run)
+    run, folder = load_run(settings.run), settings.folder
+    if settings.robustness:
+        check_able(run.setup.task, "robustness", run.directory)
+    policy = run.policy()
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-    robot = trained.load_robot()
-    judged = trained.env.judging(settings.episodes, settings.threads)
-    env = build_env(robot, judged, settings.reward, settings.seed)
-    walks = not isinstance(judged, LibrarySettings)
-    result = evaluate(policy, env, robot, settings.seed, judged.control_dt, record=walks)
-    task = {"task": judged.task} if isinstance(judged, LibrarySettings) else {"reward": asdict(settings.reward)}
+    task = run.setup.task.judged_by(settings.reward)
+    env = build_env(task, run.settings.env.judging(settings.episodes, settings.threads), settings.seed)
+    walks, dt = "film" in task.abilities, task.control_dt
+    result = evaluate(policy, env, task, settings.seed, record=walks)
+    about: dict[str, object] = {"reward": settings.reward.to_dict()} if walks else {"task": task.name}
     report: dict[str, object] = {
-        **task,
+        **about,
         **result.summary(),
-        "gait": {**result.gait(), **(summarize(result.episodes, robot, judged.control_dt) if walks else {})},
-        "seeds": {"training": trained.seed, "evaluation": settings.seed},
+        "gait": {**result.gait(), **(summarize(result.episodes, task.robot, dt) if walks else {})},
+        "seeds": {"training": run.settings.seed, "evaluation": settings.seed},
         "versions": versions(),
     }
     report = {key: _finite(value) for key, value in report.items()}
     if folder is not None:
         if walks:
-            write_text(folder / TRACE, trace(result.typical, robot, judged.control_dt))
+            write_text(folder / TRACE, trace(result.typical, task.robot, dt))
         write_text(folder / EVALUATION, json.dumps(report, indent=2) + "\n")
     return report
 
@@ -108,19 +100,14 @@ def examine_run(settings: EvaluateSettings, stride_time: float | None) -> dict[s
     Returns:
         What was written, see :meth:`.Examination.results`.
     """
+    from gctd3.runs.load import load_run
     from gctd3.training.checkpoint import versions
-    from gctd3.runs.load import load_policy
-    from gctd3.training.saved_configuration import find_run, load_settings
 
-    run, folder = find_run(settings.run), settings.folder
-    trained = load_settings(run)
-    env = trained.env.judging(settings.episodes, settings.threads)
-    if isinstance(env, LibrarySettings):
-        raise RunError(f"{run} was trained on {env.task}: robustness is for the walking task only.")
-    examination = Examination(
-        load_policy(run), trained.load_robot(), env, settings.reward, settings.seed, settings.perturbations
-    )
-    results = {**examination.results(stride_time), "reward": asdict(settings.reward), "versions": versions()}
+    run, folder = load_run(settings.run), settings.folder
+    task = run.task("robustness", settings.reward)
+    env = run.settings.env.judging(settings.episodes, settings.threads)
+    examination = Examination(run.policy(), task, env, settings.seed, settings.perturbations)
+    results = {**examination.results(stride_time), "reward": settings.reward.to_dict(), "versions": versions()}
     if folder is None:
         return results
     write_text(folder / ROBUSTNESS, json.dumps(_finite(results), indent=1) + "\n")

@@ -1,22 +1,71 @@
-"""Load what a finished run holds: its policy, its robot, and how that was simulated."""
+"""Load what a finished run holds: its policy, and the task for which that was trained."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
-from gctd3.envs.factory import EnvSettings
-from gctd3.envs.library import LibrarySettings
-from gctd3.errors import RunError
 from gctd3.files import load_tree
-from gctd3.robots.robot import Robot
+from gctd3.setup.setup import Setup
+from gctd3.tasks.reward import Reward
+from gctd3.tasks.task import Ability, check_able
 from gctd3.training.checkpoint import POLICY, Checkpoints, checked, fit
 from gctd3.training.saved_configuration import find_run, load_settings
+from gctd3.training.settings import TrainSettings
+
+
+@dataclass(frozen=True)
+class LoadedRun:
+    """A run, read once.
+
+    Attributes:
+        directory: Where it is.
+        settings: With which it was started.
+        setup: Its robot, task and the shape of its networks.
+    """
+
+    directory: Path
+    settings: TrainSettings
+    setup: Setup
+
+    def policy(self) -> TensorDictModuleBase:
+        """Load its best deterministic policy; see :func:`load_policy`."""
+        path = Checkpoints(self.directory).best()
+        checked(path)
+        policy = self.settings.algo.build(self.setup.architecture()).policy()
+        fit(path / POLICY, lambda: policy.load_state_dict(load_tree(path / POLICY)))
+        return policy
+
+    def task(self, ability: Ability, reward: Reward | None = None) -> Any:  # noqa: ANN401 - a task with that ability
+        """Return its task under a reward, the paper's by default.
+
+        Raises:
+            RunError: If the task does not have the ability.
+        """
+        check_able(self.setup.task, ability, self.directory)
+        return self.setup.task.judged_by(reward or Reward())
+
+
+def load_run(run: str | Path | None = None) -> LoadedRun:
+    """Read a run.
+
+    Args:
+        run: Its directory; the walking biped that ships with the library if ``None``.
+
+    Raises:
+        RunError: If it is not a run, or one of another version.
+        RobotError: If its robot cannot be used.
+    """
+    directory = find_run(run)
+    settings = load_settings(directory)
+    return LoadedRun(directory, settings, settings.setup())
 
 
 def load_policy(run: str | Path | None = None) -> TensorDictModuleBase:
-    """The best deterministic policy of a run.
+    """Load the best deterministic policy of a run.
 
     Args:
         run: The run's directory; the walking biped that ships with the library if ``None``.
@@ -27,23 +76,4 @@ def load_policy(run: str | Path | None = None) -> TensorDictModuleBase:
     Raises:
         RunError: If ``run`` is not a run, has no policy, or is damaged or of another version.
     """
-    run = find_run(run)
-    settings = load_settings(run)
-    path = Checkpoints(run).best()
-    checked(path)
-    policy = settings.algo.build(settings.architecture()).policy()
-    fit(path / POLICY, lambda: policy.load_state_dict(load_tree(path / POLICY)))
-    return policy
-
-
-def load_walk(run: str | Path | None) -> tuple[TensorDictModuleBase, Robot, EnvSettings]:
-    """The best policy of a run, or the one that ships with the library, its robot and how that was simulated.
-
-    Raises:
-        RunError: If it is no run, has no policy, or is of another library's task.
-    """
-    run = find_run(run)
-    trained = load_settings(run)
-    if isinstance(trained.env, LibrarySettings):
-        raise RunError(f"{run} was trained on {trained.env.task}: only the walking task can be drawn.")
-    return load_policy(run), trained.load_robot(), trained.env
+    return load_run(run).policy()

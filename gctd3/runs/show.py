@@ -9,19 +9,16 @@ import os
 import platform
 import socket
 import webbrowser
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from omegaconf import DictConfig
 
-from gctd3.training.checkpoint import Checkpoints
-from gctd3.config.command_line import command
 from gctd3.errors import ConfigError, RunError, check_between, check_seed
-from gctd3.viz.live_session import LiveWalk, endless
-from gctd3.runs.load import load_walk
+from gctd3.runs.load import load_run
+from gctd3.training.checkpoint import Checkpoints
 from gctd3.training.saved_configuration import find_run
-from gctd3.config.build import build
+from gctd3.viz.live_session import LiveWalk
 
 PACKAGES = ("viser", "mjviser")
 SHIPPED = "shipped with gctd3"  # what the policy in the package is called among runs
@@ -60,10 +57,9 @@ def open_walk(run: str, settings: ViewSettings) -> LiveWalk:
     Raises:
         RunError: If it is no run, or not of the walking task.
     """
-    policy, robot, env = load_walk(None if run == SHIPPED else run)
-    if settings.endless:
-        env = replace(env, endings=endless(env.endings))
-    return LiveWalk(policy, robot, env, settings.seed)
+    loaded = load_run(None if run == SHIPPED else run)
+    task = loaded.task("film")
+    return LiveWalk(loaded.policy(), task.endless() if settings.endless else task, settings.seed)
 
 
 def choices(run: str | None, runs: str) -> list[str]:

@@ -6,16 +6,16 @@ reflection of its motion.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gctd3.errors import RobotError
-from gctd3.robots.floating_base import EXTRA
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.mirror_pairs import unreflected
-from gctd3.robots.nodes import foot_slots
 from gctd3.robots.robot import Robot
+from gctd3.tasks.features import FeatureTable, paper_features
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Reflection:
         features: Features of a node in one frame.
         frame: Of the nodes' features in one frame, node after node; length ``N * features``.
         action: Length ``A``.
-        counters: Of what only the critics see; twice as long as there are feet.
+        counters: Of what only the critics see.
         static: Features of a node behind all frames that never change.
     """
 
@@ -65,16 +65,22 @@ class Reflection:
     static: int = 0
 
     @classmethod
-    def from_robot(cls, robot: Robot, features: int = 2, static: int = 0) -> Reflection:
-        """The reflection of a robot in the walking task.
+    def of(
+        cls,
+        robot: Robot,
+        table: FeatureTable,
+        counters: Sequence[tuple[np.ndarray, np.ndarray]] = (),
+        static: int = 0,
+    ) -> Reflection:
+        """Return the reflection of a robot whose nodes sense what a table says.
 
         Joints change places with their mirror images and their angles and velocities their signs, as the joints' axes
-        ask; a ground node's features are one per foot and change places too; the root's stay, and of the base nodes
-        those keep their sign that lie in the sagittal plane.
+        ask; contacts of feet change places too.
 
         Args:
             robot: The robot.
-            features: Features of a node in one frame.
+            table: What its nodes sense.
+            counters: Source and sign of each part of what only the critics see, see :meth:`.Termination.clock_mirror`.
             static: Features of a node behind all frames that never change, as :meth:`.NodeSensor.static` has them.
 
         Raises:
@@ -82,33 +88,29 @@ class Reflection:
                 on both sides of it.
         """
         _check_reflected(robot)
-        graph = KinematicGraph.from_robot(robot)
+        graph = table.graph
         if balls := [name for name, kind in zip(graph.nodes, graph.kinds, strict=True) if kind == "ball"]:
             raise RobotError(
                 f"{robot.path}: a ball joint's rotation has no reflection here, so replay.mirror and equivariant must "
                 f"be false; ball joints: {', '.join(balls)}."
             )
-        source = np.arange(graph.num_nodes * features).reshape(graph.num_nodes, features)[list(graph.mirror)]
-        sign = np.ones(source.shape)
-        extra = iter(robot.base.extra)
-        for row, (name, kind) in enumerate(zip(graph.nodes, graph.kinds, strict=True)):
-            if kind == "base":
-                sign[row] = EXTRA[next(extra)]
-            elif kind not in ("root", "ground"):
-                sign[row] = robot.mirror_sign(name)
-        feet, (node, feature) = np.array(robot.mirror_feet), foot_slots(robot).T
-        source[node, feature] = source[node[feet], feature[feet]]
-        hip_sign = [robot.mirror_sign(leg[0].name) for leg in robot.legs]
+        sources, signs, start = [np.zeros(0, dtype=np.int64)], [np.zeros(0)], 0
+        for source, sign in counters:
+            sources.append(start + np.asarray(source))
+            signs.append(np.asarray(sign, dtype=np.float64))
+            start += len(source)
         return cls(
-            features=features,
-            frame=SignedPermutation(source.reshape(-1), sign.reshape(-1)),
+            features=table.width,
+            frame=SignedPermutation(*table.reflection()),
             action=SignedPermutation(*robot.action_mirror),
-            # How long each foot has been down, how long each hip has kept its sign.
-            counters=SignedPermutation(
-                np.concatenate([feet, len(feet) + feet]), np.array([1.0] * len(feet) + hip_sign)
-            ),
+            counters=SignedPermutation(np.concatenate(sources), np.concatenate(signs)),
             static=static,
         )
+
+    @classmethod
+    def from_robot(cls, robot: Robot, static: int = 0) -> Reflection:
+        """Return the reflection of a robot whose nodes sense what the paper's do; see :meth:`of`."""
+        return cls.of(robot, FeatureTable(paper_features(), robot, KinematicGraph.from_robot(robot)), static=static)
 
     def nodes(self, width: int) -> SignedPermutation:
         """Of stacked frames, node after node, each node's frames from the oldest to the newest, then what is static.

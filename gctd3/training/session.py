@@ -53,8 +53,8 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
         share_cores(config)
     settings = build(config, trusted=not resumed)
     settings.check_here()
+    setup = settings.setup()
     # Imported late, so that --help and a wrong setting are answered at once.
-    from gctd3.envs.factory import EnvSettings
     from gctd3.training.run_log import refuse_a_run
     from gctd3.training.trainer import Trainer
     from gctd3.viz.film import check_film
@@ -64,7 +64,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     with only_one(run), _output(run, stop):
         if not resumed:
             refuse_a_run(run)
-        trainer = Trainer(settings, run, {"config": OmegaConf.to_container(config, resolve=True)})
+        trainer = Trainer(settings, run, {"config": OmegaConf.to_container(config, resolve=True)}, setup)
         if resumed and not trainer.restore():
             print(f"{run} has no checkpoint yet: it starts from the beginning.")
         save_config(run, config, overrides)
@@ -78,7 +78,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
                 "stop_when.evaluations or stop_when.evaluations=null if its conditions ended it."
             )
         trainer.run(stop)
-        print(_summary(trainer.best, run, walks=isinstance(settings.env, EnvSettings)))
+        print(_summary(trainer.best, run, walks="film" in setup.task.abilities))
         if not trainer.finished:
             print(f"Continue it:  python -m gctd3.train resume={run}")
     if stop.file is not None:

@@ -6,24 +6,18 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-import torch
-
-from gctd3.algorithms.base import AlgorithmSettings, Architecture
+from gctd3.algorithms.base import AlgorithmSettings
 from gctd3.data.collector_settings import InlineSettings, ProcessSettings
-from gctd3.data.exploration import ExplorationSettings, Explorer
-from gctd3.data.mirror_augmentation import MirrorAugmentation
+from gctd3.data.exploration import ExplorationSettings
 from gctd3.data.replay import ReplaySettings
-from gctd3.envs.factory import MOST_THREADS, EnvSettings
-from gctd3.envs.library import MOST_ROBOTS, LibrarySettings
+from gctd3.envs.settings import MOST_ROBOTS, MOST_THREADS, EnvSettings
 from gctd3.envs.simulation import substeps_of
 from gctd3.errors import ConfigError, check_between, check_seed
 from gctd3.nn import Network
-from gctd3.robots.graph import KinematicGraph
-from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
-from gctd3.tasks.reflection import Reflection
+from gctd3.setup.setup import Setup
 from gctd3.tasks.reward import Reward
-from gctd3.tasks.walk import FEATURES, WalkingTask
+from gctd3.tasks.task import TaskSettings, check_backend
 from gctd3.training.device import check_device, check_index
 from gctd3.training.stop_when import StopWhen
 
@@ -56,7 +50,8 @@ class TrainSettings:
 
     Attributes:
         robot: Which robot and graph.
-        env: How it is simulated.
+        task: What is asked of it.
+        env: Where and how many of it are stepped.
         reward: For which it trains.
         algo: The algorithm.
         network: Its networks.
@@ -81,7 +76,8 @@ class TrainSettings:
     """
 
     robot: RobotSettings
-    env: EnvSettings | LibrarySettings
+    task: TaskSettings
+    env: EnvSettings
     reward: Reward
     algo: AlgorithmSettings
     network: Network
@@ -118,28 +114,7 @@ class TrainSettings:
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, or null, got {self.threads}.")
         check_between(self, 1, MOST_THREADS, "threads")
-        if self.video and isinstance(self.env, LibrarySettings):
-            raise ConfigError("video must be false for a library's task: only the walking task can be drawn.")
         self._check_frames()
-        if isinstance(self.env, LibrarySettings):
-            self._check_library_task(self.env)
-
-    def _check_library_task(self, env: LibrarySettings) -> None:
-        """What a library's task asks of the robot, replay and networks."""
-        if self.robot.name != RobotSettings.name:
-            raise ConfigError(
-                f"robot.name must be left at {RobotSettings.name} for a library's task, got {self.robot.name!r}: "
-                "the task brings its own robot, to which robot.feet, robot.forward and robot.graph apply."
-            )
-        if self.replay.mirror:
-            raise ConfigError("replay.mirror must be false for a library's task, got true: use replay=plain.")
-        network = self.network
-        if env.static and network.equivariant:
-            raise ConfigError("env.static must be false for an equivariant network, got true.")
-        if env.observation == "flat" and (network.graph_layers or network.readout != "flat" or network.equivariant):
-            raise ConfigError(
-                "env.observation must be nodes for a network that knows the robot's graph, got flat: use network=mlp."
-            )
 
     @property
     def batch_steps(self) -> int:
@@ -169,66 +144,44 @@ class TrainSettings:
                 f"{self.exploration.warmup_frames}: the training would end before it learns."
             )
         # The newest n_step of a robot cannot be drawn yet, the oldest history - 1 no longer.
-        least = self.env.num_envs * (self.env.history + self.replay.n_step)
+        least = self.env.num_envs * (self.task.history + self.replay.n_step)
         if self.replay.storage == "frames" and self.replay.capacity < least:
             raise ConfigError(
-                f"replay.capacity must be at least env.num_envs * (env.history + replay.n_step) = {least}, "
+                f"replay.capacity must be at least env.num_envs * (task.history + replay.n_step) = {least}, "
                 f"got {self.replay.capacity}."
             )
-        drawn = self.replay.capacity // self.env.num_envs - self.replay.n_step - self.env.history + 1
+        drawn = self.replay.capacity // self.env.num_envs - self.replay.n_step - self.task.history + 1
         if self.replay.storage == "frames" and drawn * self.env.num_envs < self.replay.batch_size:
             raise ConfigError(
                 f"replay.capacity must hold a batch: of {self.replay.capacity} of {self.env.num_envs} robots "
                 f"{drawn * self.env.num_envs} can be drawn, replay.batch_size is {self.replay.batch_size}."
             )
 
-    def check_here(self) -> None:
-        """Check all that only the robot and this machine can tell, before anything is begun.
+    def setup(self) -> Setup:
+        """Read the robot, build its graph and its task, and check all that only they can tell.
 
         Raises:
-            RobotError: If it cannot be used.
+            RobotError: If the robot cannot be used.
+            ConfigError: If a setting does not fit it.
+        """
+        task = self.task.build(self.robot, self.reward)
+        for key, asked, ability in (("replay.mirror", self.replay.mirror, "mirror"), ("video", self.video, "film")):
+            if asked and ability not in task.abilities:
+                raise ConfigError(f"{key} must be false for {task.name}, got true: {ability} is for simulated tasks.")
+        check_backend(task, self.env.backend)
+        if self.env.backend != "library":
+            substeps_of(task.control_dt, task.robot)
+        self.exploration.check_robot(task.robot, task.control_dt)
+        setup = Setup(task, self.network, self.algo.privileged_critic)
+        if self.replay.mirror or self.network.equivariant:
+            _ = setup.reflection
+        return setup
+
+    def check_here(self) -> None:
+        """Check all that only this machine can tell, before anything is begun.
+
+        Raises:
             ConfigError: If a setting does not fit it.
         """
         check_index(self.device)
         self.collector.check_here(self.env.num_envs)
-        robot, env, exploration = self.load_robot(), self.env, self.exploration
-        if isinstance(env, EnvSettings):
-            WalkingTask(robot, self.reward, env.endings, env.control_dt)
-            substeps_of(env.control_dt, robot)
-        if exploration.warmup == "rhythmic" and exploration.frequency[1] > 0.5 / env.control_dt:
-            raise ConfigError(
-                f"exploration.frequency must be at most half a cycle a control step, {0.5 / env.control_dt:g} Hz, "
-                f"got {list(exploration.frequency)}."
-            )
-        Explorer(self.algo.build(self.architecture()).actor, robot, 1, exploration, env.control_dt)
-        if self.replay.mirror:
-            MirrorAugmentation(robot, env.history)
-
-    def load_robot(self) -> Robot:
-        """The robot.
-
-        Raises:
-            RobotError: If it cannot be used.
-        """
-        if isinstance(self.env, LibrarySettings):
-            return self.env.load_robot(self.robot.feet, self.robot.forward)
-        return self.robot.load()
-
-    def architecture(self, device: torch.device | str = "cpu") -> Architecture:
-        """What the networks are built from, to lie on ``device``."""
-        robot = self.load_robot()
-        privileged = 0
-        if self.algo.privileged_critic and isinstance(self.env, EnvSettings):
-            privileged = WalkingTask(robot, self.reward, self.env.endings, self.env.control_dt).num_counters
-        graph, features = None, FEATURES
-        if isinstance(self.env, LibrarySettings):
-            graph, features = self.env.graph, self.env.features
-        return Architecture(
-            graph=graph or KinematicGraph.from_robot(robot, self.robot.graph, self.robot.graph_seed),
-            network=self.network,
-            in_features=features * self.env.history,
-            action_dim=int(robot.model.nu),
-            privileged_dim=privileged,
-            reflection=Reflection.from_robot(robot, FEATURES) if self.network.equivariant else None,
-            device=device,
-        )

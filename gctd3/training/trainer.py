@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -23,11 +23,13 @@ from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.data.replay import Replay
-from gctd3.envs.factory import EnvRecipe, EnvSettings, build_env
+from gctd3.envs.factory import EnvRecipe, build_env
 from gctd3.errors import NumericalError, WorkerError
 from gctd3.evaluation.rollout import evaluate
 from gctd3.files import new_directory, save_tree, write_manifest
+from gctd3.setup.setup import Setup
 from gctd3.signals import StopRequest
+from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.training.checkpoint import STATE, Checkpoints, fit
 from gctd3.training.device import pick_device
 from gctd3.training.progress import Counters
@@ -47,12 +49,19 @@ class Trainer:
         settings: What to do.
         directory: Where to write.
         about: What the manifests of checkpoints say besides.
+        setup: The robot, its task and the shape of its networks; built from the settings if ``None``.
 
     Attributes:
         best: Metrics of the best evaluation so far.
     """
 
-    def __init__(self, settings: TrainSettings, directory: Path, about: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        settings: TrainSettings,
+        directory: Path,
+        about: Mapping[str, Any] | None = None,
+        setup: Setup | None = None,
+    ) -> None:
         self.settings, self.directory = settings, directory
         # Its notices of every storage and transform would break into the progress bar.
         torchrl_logger.setLevel(logging.WARNING)
@@ -60,19 +69,17 @@ class Trainer:
             torch.set_num_threads(settings.threads)
         # Before the networks, so that their initial weights are the seed's.
         seed_all(settings.seed)
-        self.robot = settings.load_robot()
+        self.setup = setup = setup if setup is not None else settings.setup()
+        task, env = setup.task, settings.env
         self.device = pick_device(settings.device)
         self.algorithm, self.explorer = self._new_learner()
-        env = settings.env
-        mirror = MirrorAugmentation(self.robot, env.history) if settings.replay.mirror else None
-        self.replay = Replay(settings.replay, settings.algo.gamma, env.history, mirror, self.device)
-        recipe = EnvRecipe(self.robot, env, settings.reward)
+        mirror = MirrorAugmentation(setup.reflection, task.history) if settings.replay.mirror else None
+        self.replay = Replay(settings.replay, settings.algo.gamma, task.history, mirror, self.device)
+        recipe = EnvRecipe(task, env)
         self.collector = build_collector(settings.collector, recipe, settings.batch_steps, settings.seed, self.explorer)
-        threads = env.threads if isinstance(env, EnvSettings) else None
-        judged = env.judging(settings.evaluation.episodes, threads)
-        self.evaluation_env = build_env(self.robot, judged, settings.evaluation.reward, settings.evaluation.seed)
-        graph = settings.architecture().graph
-        said = {"graph": {"nodes": graph.nodes, "edges": graph.edges}, **(about or {})}
+        judged = env.judging(settings.evaluation.episodes, env.threads)
+        self.evaluation_env = build_env(task.judged_by(settings.evaluation.reward), judged, settings.evaluation.seed)
+        said = {"graph": {"nodes": setup.graph.nodes, "edges": setup.graph.edges}, **(about or {})}
         self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, said)
         self.log = RunLog(directory, settings.logger)
         self.counters = Counters(next_evaluation=self._first_evaluation)
@@ -81,9 +88,9 @@ class Trainer:
         self._next_save = settings.checkpoint_every
 
     def _new_learner(self) -> tuple[Algorithm, Explorer]:
-        settings, env = self.settings, self.settings.env
-        algorithm = settings.algo.build(settings.architecture(self.device))
-        exploring = Explorer(algorithm.actor, self.robot, env.num_envs, settings.exploration, env.control_dt)
+        settings, task = self.settings, self.setup.task
+        algorithm = settings.algo.build(self.setup.architecture(self.device))
+        exploring = Explorer(algorithm.actor, task.robot, settings.env.num_envs, settings.exploration, task.control_dt)
         return algorithm, exploring
 
     @property
@@ -186,7 +193,7 @@ class Trainer:
     def _evaluate(self) -> dict[str, float]:
         settings, now = self.settings, self.counters
         policy = self.algorithm.policy()
-        result = evaluate(policy, self.evaluation_env, self.robot, settings.evaluation.seed, settings.env.control_dt)
+        result = evaluate(policy, self.evaluation_env, self.setup.task, settings.evaluation.seed)
         metrics: dict[str, float] = {
             "frames": now.frames,
             "updates": now.updates,
@@ -201,8 +208,8 @@ class Trainer:
             self.checkpoints.save_best(now.frames, policy, metrics)
             self.best = metrics
         self.log.add_row(metrics)
-        if settings.video and isinstance(settings.env, EnvSettings):
-            self.log.clip(clip(policy, self.robot, settings.env, settings.evaluation.seed), FPS, now.frames)
+        if settings.video:
+            self.log.clip(clip(policy, cast(SimulatedTask, self.setup.task), settings.evaluation.seed), FPS, now.frames)
         return metrics
 
     def _wall(self) -> float:

@@ -15,11 +15,11 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from tensordict.nn import TensorDictModuleBase
 
-from gctd3.envs.factory import EnvSettings
 from gctd3.errors import ConfigError, RenderError
 from gctd3.files import new_file
 from gctd3.robots.geometry import lowest_point
 from gctd3.robots.robot import Robot
+from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.viz.live_session import LiveWalk, Moment, foot_geoms
 from gctd3.viz.offscreen import Canvas, find_backend
 
@@ -54,11 +54,9 @@ class Walk:
         return np.cumsum(self.reward)
 
 
-def record(
-    policy: TensorDictModuleBase, robot: Robot, settings: EnvSettings, seed: int, most_steps: int | None = None
-) -> Walk:
-    """One episode of a policy under the paper's reward, or its first ``most_steps`` control steps."""
-    live = LiveWalk(policy, robot, settings, seed)
+def record(policy: TensorDictModuleBase, task: SimulatedTask, seed: int, most_steps: int | None = None) -> Walk:
+    """Record one episode of a policy, or its first ``most_steps`` control steps."""
+    live = LiveWalk(policy, task, seed)
     rows: list[Moment] = []
     while not live.now.done and (most_steps is None or len(rows) < most_steps):
         rows.append(live.step())
@@ -179,11 +177,11 @@ def stride(speed: float, dt: float) -> int:
     return max(1, round(speed / FPS / dt))
 
 
-def clip(policy: TensorDictModuleBase, robot: Robot, settings: EnvSettings, seed: int) -> list[Image.Image]:
-    """The first :data:`CLIP` seconds of a policy's walk, :data:`FPS` frames a second in real time."""
-    dt = settings.control_dt
-    walk = record(policy, robot, settings, seed, round(CLIP / dt))
-    return list(draw(walk, robot, np.arange(0, len(walk.qpos), stride(1.0, dt)), "side", CLIP_SIZE, dt))
+def clip(policy: TensorDictModuleBase, task: SimulatedTask, seed: int) -> list[Image.Image]:
+    """Film the first :data:`CLIP` seconds of a policy's walk, :data:`FPS` frames a second in real time."""
+    dt = task.control_dt
+    walk = record(policy, task, seed, round(CLIP / dt))
+    return list(draw(walk, task.robot, np.arange(0, len(walk.qpos), stride(1.0, dt)), "side", CLIP_SIZE, dt))
 
 
 def check_film() -> None:

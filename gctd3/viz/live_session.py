@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -10,14 +10,14 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings
 from gctd3.envs.simulation import Simulation
 from gctd3.robots.mjcf import bodies_below, body_name, colliding_geoms
 from gctd3.robots.robot import Robot
-from gctd3.tasks.reward import Endings, Reward
+from gctd3.tasks.simulated_task import SimulatedTask
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
-_FOREVER = 10**9  # control steps
 
 
 def foot_geoms(robot: Robot) -> list[int]:
@@ -57,20 +57,14 @@ class Moment:
     success: bool = False
 
 
-def endless(endings: Endings) -> Endings:
-    """The same endings, but only a fall ends the episode."""
-    return replace(endings, contact_steps=None, hip_steps=None, finish=float("inf"), time_limit=_FOREVER)
-
-
 class LiveWalk:
-    """A walk of one robot, under the paper's reward unless another is given.
+    """A walk of one robot.
 
     Args:
         policy: Reads ``"nodes"``, writes ``"action"``; its mode is taken if it is stochastic.
-        robot: The robot; :attr:`friction` and :attr:`payload` change its model.
-        settings: How it is simulated; always one robot on the batched backend.
+        task: What the robot is asked, under the reward that is counted; :attr:`friction` and :attr:`payload` change the
+            model of its robot.
         seed: Of the start.
-        reward: That is counted.
 
     Attributes:
         data: The simulator's state for those who draw it, contacts included; :meth:`show` fills it.
@@ -80,16 +74,14 @@ class LiveWalk:
     def __init__(
         self,
         policy: TensorDictModuleBase,
-        robot: Robot,
-        settings: EnvSettings,
+        task: SimulatedTask,
         seed: int,
-        reward: Reward | None = None,
     ) -> None:
-        self.policy, self.robot, self.control_dt = policy, robot, settings.control_dt
-        one, reward = settings.judging(1, threads=1), reward if reward is not None else Reward()
+        self.policy, self.robot, self.control_dt = policy, task.robot, task.control_dt
+        robot = task.robot
         # TorchRL seeds the global generator along with the environment's: a fork keeps that out of a training.
         with torch.random.fork_rng(devices=[]):
-            self._env = build_env(robot, one, reward, seed)
+            self._env = build_env(task, EnvSettings(num_envs=1, threads=1), seed)
         self.data = mujoco.MjData(robot.model)
         self._root = robot.base.root
         ground = [g for g in range(robot.model.ngeom) if robot.model.geom_bodyid[g] == 0]

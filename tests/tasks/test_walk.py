@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from compositions import reward, walking
 from gaits import LEFT, RIGHT, sense, values, walk
 
 from gctd3.errors import ConfigError
 from gctd3.robots.robot import Robot
-from gctd3.tasks.reward import Endings, Reward
-from gctd3.tasks.walk import WalkingTask
+from gctd3.tasks import reward_terms as terms
+from gctd3.tasks.terminations import Finish, LongContact, StuckHip, TimeLimit
 
 
 def alternating(steps, **constant):
@@ -45,7 +46,7 @@ def test_progress_looks_back_five_steps_and_no_further_than_the_start(task):
 
 
 def test_windows_are_settings(robot):
-    task = WalkingTask(robot, Reward(progress_steps=2, frames=1))
+    task = walking(robot, reward(progress=terms.Progress(steps=2), height=terms.BodyHeight(frames=1)))
     _, outcomes = walk(task, *alternating(4, y=lambda t: 0.1 * t, z=0.04))
     assert [o.terms["progress"] for o in outcomes] == pytest.approx([0.02, 0.04, 0.04])
     # One frame: |0.04 + 0.010| = 0.05.
@@ -97,11 +98,11 @@ def test_the_step_that_changes_a_hips_sign_is_its_first(task):
 
 
 def test_endings_that_are_switched_off(robot):
-    task = WalkingTask(robot, endings=Endings(contact_steps=None, hip_steps=None))
-    progress, outcomes = walk(task, *[sense(feet=(True, True))] * 101)
+    task = walking(robot, contact_steps=None, hip_steps=None)
+    memory, outcomes = walk(task, *[sense(feet=(True, True))] * 101)
     assert not any(o.terminated for o in outcomes)
     # Counted all the same, over the time limit of 1,600.
-    assert task.counters(progress) == pytest.approx(np.array([100, 100, 100, -100]) / 1600)
+    assert task.counters(memory) == pytest.approx(np.array([100, 100, 100, -100]) / 1600)
 
 
 @pytest.mark.parametrize(
@@ -118,13 +119,13 @@ def test_endings_that_are_switched_off(robot):
     ],
 )
 def test_finish_and_time_limit_truncate_unless_the_robot_falls(task, taken, now, terminated, truncated, success):
-    before = replace(task.begin(sense()), step=np.array(taken))
+    before = {**task.begin(sense()), "step": np.array(taken)}
     _, outcome = task.advance(before, now)
     assert (outcome.terminated, outcome.truncated, outcome.success) == (terminated, truncated, success)
 
 
 def test_shaping_of_one_step(robot):
-    task = WalkingTask(robot, Reward(antiphase=0.3, single_support=0.2, overspeed=0.5))
+    task = walking(robot, reward(antiphase=0.3, single_support=0.2, overspeed=0.5))
     fast, slow = sense(v=1.7, hips=(0.2, -0.5)), sense(v=1.1, hips=(0.4, -0.4), feet=(True, True))
     _, outcomes = walk(task, sense(), fast, slow, sense(feet=(False, False)))
     # -0.3 * |0.2 - 0.5|, one foot down, -0.5 * (1.7 - 1.2).
@@ -138,12 +139,12 @@ def test_shaping_of_one_step(robot):
         (10, (True, False), 2.0 * (0.25 - 0.20)),
         (5, (True, False), 2.0 * (0.25 - 0.10)),
         (15, (True, False), 0.0),
-        (30, (True, False), 3.0 * (0.60 - 0.35)),
+        (30, (True, False), 2.0 * (0.60 - 0.35)),
         (10, (True, True), 2 * 2.0 * (0.25 - 0.20)),
     ],
 )
 def test_a_time_in_the_air_out_of_bounds_costs_at_touchdown(robot, steps_in_air, landing, cost):
-    task = WalkingTask(robot, Reward(short_swing=2.0, long_swing=3.0, swing_least=0.25, swing_most=0.35))
+    task = walking(robot, reward(swing=terms.SwingTime(-2.0, least=0.25, most=0.35)))
     down, up = sense(feet=(True, True)), sense(feet=(False, False))
     _, outcomes = walk(task, down, *[up] * steps_in_air, sense(feet=landing), sense(feet=landing))
     paid = [float(o.terms["swing"]) for o in outcomes]
@@ -151,7 +152,7 @@ def test_a_time_in_the_air_out_of_bounds_costs_at_touchdown(robot, steps_in_air,
 
 
 def test_short_flights_can_be_free(robot):
-    task = WalkingTask(robot, Reward(flight=2.0, flight_free=2))
+    task = walking(robot, reward(flight=terms.Flight(-2.0, free=2)))
     up, down = sense(feet=(False, False)), sense(feet=(True, False))
     _, outcomes = walk(task, down, up, up, up, up, down)
     # One to four of the last five frames in flight, then still four.
@@ -183,25 +184,32 @@ def test_node_features_of_the_biped(task):
 def test_counters(task):
     start = sense(feet=(False, False))
     assert task.counters(task.begin(start)).tolist() == [0.0] * task.num_counters
-    progress, _ = walk(task, start, *[sense()] * 10)
+    memory, _ = walk(task, start, *[sense()] * 10)
     # Right foot 10 of 40 steps down, left foot 10 up; right hip 10 of 50 steps in front, left hip behind.
-    assert task.counters(progress) == pytest.approx(np.array([0.25, -0.25, 0.2, -0.2]))
-    progress, _ = task.advance(progress, sense(hips=(-0.1, 0.1), feet=(False, True)))
-    assert task.counters(progress) == pytest.approx(np.array([-1 / 40, 1 / 40, -1 / 50, 1 / 50]))
+    assert task.counters(memory) == pytest.approx(np.array([0.25, -0.25, 0.2, -0.2]))
+    memory, _ = task.advance(memory, sense(hips=(-0.1, 0.1), feet=(False, True)))
+    assert task.counters(memory) == pytest.approx(np.array([-1 / 40, 1 / 40, -1 / 50, 1 / 50]))
 
 
 @pytest.mark.parametrize(
-    ("settings", "names"),
-    [(Reward, ("progress_steps", "frames")), (Endings, ("contact_steps", "hip_steps", "time_limit", "finish"))],
+    ("term", "name"),
+    [
+        (terms.Progress, "steps"),
+        (terms.BodyHeight, "frames"),
+        (terms.Flight, "frames"),
+        (LongContact, "steps"),
+        (StuckHip, "steps"),
+        (TimeLimit, "steps"),
+        (Finish, "distance"),
+    ],
 )
-def test_bad_settings_are_named(settings, names):
-    for name in names:
-        with pytest.raises(ConfigError, match=rf"^{name} must be .*, got 0\."):
-            settings(**{name: 0})
+def test_bad_settings_are_named(term, name):
+    with pytest.raises(ConfigError, match=rf"^{name} must be .*, got 0\."):
+        term(**{name: 0})
 
 
 def test_a_robot_may_stand_on_one_foot():
-    task = WalkingTask(Robot.from_mjcf("biped", feet=["foot_right"]))
+    task = walking(Robot.from_mjcf("biped", feet=["foot_right"]))
     now = sense(feet=(True,))
     # The ground has room for two contacts, and the other foot counts as a part that must not touch.
     np.testing.assert_array_equal(task.node_features(now)[-1], (1.0, 0.0))

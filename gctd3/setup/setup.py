@@ -1,0 +1,74 @@
+"""What a training derives from its settings before its first step: built once, and handed on."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from gctd3.errors import ConfigError
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.robot import Robot
+from gctd3.tasks.reflection import Reflection
+from gctd3.tasks.task import Task
+
+if TYPE_CHECKING:
+    import torch
+
+    from gctd3.algorithms.base import Architecture
+    from gctd3.nn import Network
+
+
+class Setup:
+    """A task on a robot, and the networks that go with it.
+
+    Args:
+        task: The task; it holds the robot and the graph.
+        network: Kind and sizes of the networks.
+        privileged_critic: Whether the critics see how near each time-based termination is.
+
+    Raises:
+        ConfigError: If the networks do not fit what the task observes.
+    """
+
+    def __init__(self, task: Task, network: Network, privileged_critic: bool) -> None:
+        self.task, self.network = task, network
+        self._privileged = task.num_counters if privileged_critic else 0
+        knows_graph = network.graph_layers or network.readout != "flat" or network.equivariant
+        if knows_graph and not task.graph.kinds:
+            raise ConfigError(
+                "task.observation must be nodes for a network that knows the robot's graph, got flat: use network=mlp."
+            )
+
+    @property
+    def robot(self) -> Robot:
+        """Return the robot."""
+        return self.task.robot
+
+    @property
+    def graph(self) -> KinematicGraph:
+        """Return the graph of what is observed."""
+        return self.task.graph
+
+    @cached_property
+    def reflection(self) -> Reflection:
+        """Return how observations and actions look in the mirror.
+
+        Raises:
+            ConfigError: If the task has no mirror image.
+            RobotError: If the robot is not the same on its left and its right.
+        """
+        return self.task.reflection()
+
+    def architecture(self, device: torch.device | str = "cpu") -> Architecture:
+        """Return what networks are built from, to lie on ``device``."""
+        from gctd3.algorithms.base import Architecture  # late: it needs PyTorch
+
+        return Architecture(
+            graph=self.graph,
+            network=self.network,
+            in_features=self.task.features * self.task.history,
+            action_dim=int(self.robot.model.nu),
+            privileged_dim=self._privileged,
+            reflection=self.reflection if self.network.equivariant else None,
+            device=device,
+        )

@@ -1,0 +1,64 @@
+"""What a control step measures of a robot: arrays, an entry for each robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What one control step measures.
+
+    Attributes:
+        position: Distance walked, shape ``[*]`` (m).
+        height: Body height from standing, shape ``[*]`` (m).
+        velocity: Forward velocity, shape ``[*]`` (m/s).
+        angles: Joint angles in the order of ``robot.joints``, shape ``[*, J]`` (rad).
+        velocities: Joint velocities, shape ``[*, J]`` (rad/s).
+        feet_down: Whether each foot touches the ground, shape ``[*, feet]``.
+        other_down: Whether anything else touches the ground, shape ``[*]``.
+        base: The base's other coordinates and their rates in the order of ``robot.base.extra``, from standing, shape
+            ``[*, E, 2]`` (rad and rad/s; ``side`` m and m/s); a boom has none (``E = 0``).
+        tilt: Angle between the body's vertical and the world's, shape ``[*]`` (rad).
+    """
+
+    position: np.ndarray
+    height: np.ndarray
+    velocity: np.ndarray
+    angles: np.ndarray
+    velocities: np.ndarray
+    feet_down: np.ndarray
+    other_down: np.ndarray
+    base: np.ndarray
+    tilt: np.ndarray
+
+    def to_dict(self) -> dict[str, np.ndarray]:
+        """Copy the arrays, by name."""
+        return {field.name: np.array(getattr(self, field.name)) for field in fields(self)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, np.ndarray]) -> Measurement:
+        """Build a measurement from what :meth:`to_dict` gave."""
+        return cls(**{field.name: np.array(values[field.name]) for field in fields(cls)})
+
+    def put(self, robots: np.ndarray, part: Measurement) -> Measurement:
+        """Replace the rows ``robots`` of arrays ``[N, ...]`` by those of ``part``; returns new arrays."""
+        return Measurement(**put_rows(vars(self), robots, vars(part)))
+
+    def take(self, robots: np.ndarray) -> Measurement:
+        """Take the rows ``robots`` of arrays ``[N, ...]``."""
+        return Measurement(**{field.name: getattr(self, field.name)[robots] for field in fields(self)})
+
+
+def put_rows(
+    whole: Mapping[str, np.ndarray], robots: np.ndarray, part: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Replace the rows ``robots`` of each array ``[N, ...]`` by those of ``part``; returns new arrays."""
+    merged = {}
+    for name, values in whole.items():
+        merged[name] = values.copy()
+        merged[name][robots] = part[name]
+    return merged

@@ -1,0 +1,93 @@
+"""What a task remembers of an episode: the arrays that its terms declare, a step counter, and commands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gctd3.errors import ConfigError
+from gctd3.tasks.measurement import Measurement
+from gctd3.tasks.terminations import STEPS
+from gctd3.tasks.terms import Command, Remembered, RobotFacts, Step, Term
+
+Memory = dict[str, np.ndarray]  # by name; every array is overwritten by the next, none changes in place
+Generator = np.random.Generator | np.random.RandomState
+COMMAND = "command."  # before a command's name, what is remembered of it
+
+
+class EpisodeMemory:
+    """Begins and advances what is remembered.
+
+    Args:
+        terms: Whose arrays are remembered, by a name for messages.
+        commands: By name.
+        facts: Of the robot.
+
+    Raises:
+        ConfigError: If two terms remember different things by one name.
+    """
+
+    def __init__(self, terms: Mapping[str, Term], commands: Mapping[str, Command], facts: RobotFacts) -> None:
+        self.commands, self.facts = commands, facts
+        found: dict[str, tuple[str, Remembered]] = {}
+        for where, term in terms.items():
+            for one in term.remembers():
+                asked, known = found.setdefault(one.name, (where, one))
+                if known != one or one.name == STEPS or one.name.startswith(COMMAND):
+                    raise ConfigError(f"{where} and {asked} remember different things by the name {one.name!r}.")
+        self.remembered = {name: one for name, (_, one) in found.items()}
+
+    def begin(self, now: Measurement, rng: Generator | None = None) -> Memory:
+        """Return the memory of an episode that starts with a measurement; see :meth:`.SimulatedTask.begin`."""
+        memory = {STEPS: np.zeros(now.position.shape, dtype=np.int64)}
+        memory |= {name: np.asarray(one.begin(now, self.facts)) for name, one in self.remembered.items()}
+        for name, command in self.commands.items():
+            memory |= self._drawn(name, command, now.position.shape, rng)
+        return memory
+
+    def advance(self, step: Step, rng: Generator | None = None) -> Memory:
+        """Return the memory after a step whose ``before`` is the memory before it."""
+        before = step.before
+        after = {STEPS: before[STEPS] + 1}
+        after |= {name: one.update(before[name], step) for name, one in self.remembered.items()}
+        for name, command in self.commands.items():
+            after |= self._next(name, command, before, rng)
+        return after
+
+    def check(self, first: Memory, after: Memory, shape: tuple[int, ...]) -> None:
+        """Raise a :class:`.ConfigError` unless arrays are of the shape that is declared, and stay of their type.
+
+        Args:
+            first: Of :meth:`begin`.
+            after: Of :meth:`advance`, after it.
+            shape: Of the robots.
+        """
+        for name, one in self.remembered.items():
+            expected = (*shape, *map(self.facts.size, one.shape))
+            for when, values in (("at a reset", first[name]), ("after a step", after[name])):
+                if np.shape(values) != expected or values.dtype != first[name].dtype:
+                    raise ConfigError(
+                        f"{name!r} must be remembered as {list(expected)} {first[name].dtype}, got "
+                        f"{list(np.shape(values))} {values.dtype} {when}."
+                    )
+
+    def _drawn(self, name: str, command: Command, shape: tuple[int, ...], rng: Generator | None) -> Memory:
+        if rng is None:
+            raise ValueError(f"The command {name!r} is drawn at random: begin and advance need a generator.")
+        drawn = command(rng, int(np.prod(shape, dtype=int))).reshape(*shape, command.size)
+        left = max(1, round(command.every / self.facts.control_dt))
+        return {f"{COMMAND}{name}": drawn, f"{COMMAND}{name}.left": np.full(shape, left, dtype=np.int64)}
+
+    def _next(self, name: str, command: Command, before: Mapping[str, np.ndarray], rng: Generator | None) -> Memory:
+        key, timer = f"{COMMAND}{name}", f"{COMMAND}{name}.left"
+        left = before[timer] - 1
+        over = np.asarray(left <= 0)
+        if not over.any():
+            return {key: before[key], timer: left}
+        # All are drawn, so that how many are over does not change what the others get.
+        fresh = self._drawn(name, command, over.shape, rng)
+        return {
+            key: np.where(over[..., None], fresh[key], before[key]),
+            timer: np.where(over, fresh[timer], left),
+        }

@@ -1,0 +1,271 @@
+"""A task that gctd3 simulates, composed of terms.
+
+Stage three of the data flow, shared by every backend. Everything takes arrays with any leading dimensions ``*`` (none
+for one robot, ``[N]`` for a batch) and returns new ones; nothing here steps a simulator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from gctd3.errors import ConfigError, suggest
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.robot import Robot
+from gctd3.robots.settings import RobotSettings
+from gctd3.tasks.features import FeatureTable, NodeFeature, Sensed
+from gctd3.tasks.measurement import Measurement
+from gctd3.tasks.memory import EpisodeMemory, Generator, Memory
+from gctd3.tasks.outcome import Outcome
+from gctd3.tasks.reflection import Reflection
+from gctd3.tasks.reward import Reward
+from gctd3.tasks.task import Ability, TaskSettings
+from gctd3.tasks.terminations import MOST_STEPS, STEPS, TimeLimit
+from gctd3.tasks.terms import Command, Randomisation, RobotFacts, Step, Termination, check_terms
+
+
+@dataclass(frozen=True)
+class Composition(TaskSettings):
+    """A task composed of terms, of which each is a mapping by name; ``None`` leaves one out.
+
+    Attributes:
+        control_dt: Control period (s).
+        features: What the nodes sense, in the order in which it stands in a node.
+        terminations: When an episode ends.
+        randomisations: What differs from one start to the next.
+        commands: What the robot is told to do.
+    """
+
+    control_dt: float = 0.02
+    features: Mapping[str, Any] = field(default_factory=dict)
+    terminations: Mapping[str, Any] = field(default_factory=dict)
+    randomisations: Mapping[str, Any] = field(default_factory=dict)
+    commands: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.control_dt <= 1:
+            raise ConfigError(f"control_dt must be above 0 s and at most 1 s, got {self.control_dt}.")
+        for name, kind in (("terminations", Termination), ("randomisations", Randomisation), ("commands", Command)):
+            check_terms(name, getattr(self, name), kind)
+        for name, feature in self.features.items():
+            if feature is not None and not isinstance(feature, NodeFeature):
+                raise ConfigError(
+                    f"features.{name} must be null or a mapping whose _target_ is a NodeFeature, got {feature!r}."
+                )
+
+    def build(self, robot: RobotSettings, reward: Reward) -> SimulatedTask:
+        """Build the task, its robot and its graph."""
+        loaded = robot.load()
+        return SimulatedTask(loaded, reward, self, robot.graph_of(loaded))
+
+
+class SimulatedTask:
+    """A robot on whatever base, what it senses, what each step is worth, and when an episode ends.
+
+    Args:
+        robot: The robot.
+        reward: The reward.
+        settings: The other terms.
+        graph: The robot's graph; its tree if ``None``.
+
+    Raises:
+        RobotError: If the robot lacks what walking asks for, see :meth:`.Robot.check_walking`.
+        ConfigError: If a term does not fit the robot or another term.
+    """
+
+    name = "walk"
+    backends: tuple[str, ...] = ("batched", "dm_control")
+    abilities: frozenset[Ability] = frozenset(("film", "export", "robustness", "mirror"))
+
+    def __init__(
+        self,
+        robot: Robot,
+        reward: Reward,
+        settings: Composition,
+        graph: KinematicGraph | None = None,
+    ) -> None:
+        self.robot, self.reward, self.settings = robot, reward, settings
+        self.control_dt, self.history = settings.control_dt, settings.history
+        robot.check_walking()
+        self.graph = graph if graph is not None else KinematicGraph.from_robot(robot)
+        self.facts = RobotFacts.from_robot(robot, self.graph, self.control_dt)
+        self.table = FeatureTable({n: f for n, f in settings.features.items() if f is not None}, robot, self.graph)
+        self.features = self.table.width
+        self.terminations = self._fitting(settings.terminations)
+        self.commands, self.randomisations = self._fitting(settings.commands), self._fitting(settings.randomisations)
+        self.terms = self._reward_terms()
+        ends = {f"task.terminations.{name}": term for name, term in self.terminations.items()}
+        terms = {f"reward.terms.{name}": term for name, term in self.terms.items()}
+        self.memory = EpisodeMemory({**terms, **ends}, self.commands, self.facts)
+        self._base = robot.base
+        standing = self._base.read(robot.standing_qpos, np.zeros(robot.model.nv))
+        self._standing = {name: value for name, (value, _) in standing.items()}
+        self._feet = robot.contact_sensors(robot.feet)
+        self._others = robot.contact_sensors(robot.other_contact_bodies)
+        self._qpos = np.array([joint.qpos for joint in robot.joints])
+        self._qvel = np.array([joint.qvel for joint in robot.joints])
+        limits = [term.steps for term in self.terminations.values() if isinstance(term, TimeLimit)]
+        self.time_limit = min(limits, default=MOST_STEPS)
+        self.num_counters = 0
+        self._try()
+
+    # Composition.
+
+    def _fitting(self, terms: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: term for name, term in terms.items() if term is not None and term.applies(self.facts)}
+
+    def _reward_terms(self) -> dict[str, Any]:
+        """The terms that apply; one that reads a termination which this task leaves out is left out, too."""
+        fitting, known = self._fitting(self.reward.terms), self.settings.terminations
+        for name, term in fitting.items():
+            for end in term.reads():
+                if end not in known:
+                    raise ConfigError(
+                        f"reward.terms.{name} reads the termination {end!r}, which the task does not have."
+                        f"{suggest(end, known)} Its terminations: {', '.join(known)}."
+                    )
+        return {n: term for n, term in fitting.items() if all(end in self.terminations for end in term.reads())}
+
+    def _try(self) -> None:
+        """Run every term once, on the standing robot, so that one that does not fit is named before long work."""
+        robot, batch = self.robot, (2,)
+        model = robot.model
+        zeros = np.zeros((*batch, model.nv)), np.zeros((*batch, model.nsensordata))
+        now = self.measure(np.broadcast_to(robot.standing_qpos, (*batch, model.nq)), *zeros)
+        rng = np.random.default_rng(0)
+        first = self.begin(now, rng)
+        self.table.check(Sensed(now, first, self.facts))
+        with np.errstate(all="ignore"):
+            after, outcome = self.advance(first, now, np.zeros((*batch, self.facts.actions)), rng=rng)
+        self.memory.check(first, after, batch)
+        for name, value in outcome.terms.items():
+            if np.shape(value) != batch or np.asarray(value).dtype.kind not in "fiu":
+                raise ConfigError(
+                    f"reward.terms.{name} must return one number for each of {batch[0]} robots, got "
+                    f"{list(np.shape(value))} {np.asarray(value).dtype}."
+                )
+        for name, term in self.terminations.items():
+            value = term(self._step(first, now, np.zeros((*batch, self.facts.actions)), np.zeros(batch, bool), after))
+            if np.shape(value) != batch or value.dtype != bool:
+                raise ConfigError(f"task.terminations.{name} must return true or false for each robot, got {value!r}.")
+        self.num_counters = self.counters(first).shape[-1]
+
+    # Measuring.
+
+    def measure(self, qpos: np.ndarray, qvel: np.ndarray, sensordata: np.ndarray) -> Measurement:
+        """Read the simulator: ``qpos [*, nq]``, ``qvel [*, nv]``, ``sensordata [*, ns]``."""
+        read = self._base.read(qpos, qvel)
+        place = {name: np.asarray(value - self._standing[name]) for name, (value, _) in read.items()}
+        if self.facts.base:
+            base = np.stack([np.stack([place[name], read[name][1]], axis=-1) for name in self.facts.base], axis=-2)
+            upright = np.cos(place.get("roll", 0.0)) * np.cos(place.get("pitch", 0.0))
+            tilt = np.broadcast_to(np.arccos(np.clip(upright, -1.0, 1.0)), qpos.shape[:-1])
+        else:
+            base, tilt = np.zeros((*qpos.shape[:-1], 0, 2)), np.zeros(qpos.shape[:-1])
+        return Measurement(
+            position=place["forward"],
+            height=place["height"],
+            velocity=np.asarray(read["forward"][1]),
+            angles=qpos[..., self._qpos],
+            velocities=qvel[..., self._qvel],
+            feet_down=sensordata[..., self._feet] > 0,
+            other_down=np.asarray((sensordata[..., self._others] > 0).any(axis=-1)),
+            base=base,
+            tilt=tilt,
+        )
+
+    def node_features(self, now: Measurement, memory: Memory | None = None) -> np.ndarray:
+        """Return the state of every node in one frame, ``float32 [*, N, F]``; see :class:`.FeatureTable`."""
+        return self.table(Sensed(now, memory or {}, self.facts))
+
+    def counters(self, memory: Memory) -> np.ndarray:
+        """Return how near each time-based termination is, ``float32 [*, K]``: for critics, never for a policy."""
+        parts = [term.clock(memory, self.facts, self.time_limit) for term in self.terminations.values()]
+        shown = [part for part in parts if part is not None]
+        if not shown:
+            return np.zeros((*memory[STEPS].shape, 0), dtype=np.float32)
+        return np.concatenate(shown, axis=-1).astype(np.float32)
+
+    def reflection(self) -> Reflection:
+        """Return how observations, actions and counters look in the mirror."""
+        mirrors = [term.clock_mirror(self.facts) for term in self.terminations.values()]
+        return Reflection.of(self.robot, self.table, mirrors)
+
+    # Episodes.
+
+    def start(self, rng: Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Draw the pose ``[nq]`` and velocities ``[nv]`` of one robot with which an episode begins."""
+        qpos, qvel = self.robot.start_qpos.copy(), np.zeros(self.robot.model.nv)
+        for randomise in self.randomisations.values():
+            qpos, qvel = randomise(rng, self.robot, qpos, qvel)
+        return qpos, qvel
+
+    def begin(self, now: Measurement, rng: Generator | None = None) -> Memory:
+        """Return the memory of an episode that starts with this measurement.
+
+        Args:
+            now: The measurement.
+            rng: Of commands; a task without them needs none.
+        """
+        return self.memory.begin(now, rng)
+
+    def advance(
+        self,
+        before: Memory,
+        now: Measurement,
+        action: np.ndarray | None = None,
+        diverged: np.ndarray | None = None,
+        rng: Generator | None = None,
+    ) -> tuple[Memory, Outcome]:
+        """Make one control step: the memory after it, and its outcome.
+
+        Args:
+            before: The memory before the step.
+            now: What is measured after it.
+            action: That was taken, in [-1, 1], shape ``[*, A]``; zeros if ``None``.
+            diverged: Whether the simulation failed, shape ``[*]``, which counts as a fall; nowhere if ``None``.
+            rng: Of commands; a task without them needs none.
+        """
+        shape = now.position.shape
+        failed = diverged if diverged is not None else np.zeros(shape, dtype=bool)
+        taken = action if action is not None else np.zeros((*shape, self.facts.actions))
+        step = self._step(before, now, taken, failed, {})
+        after = self.memory.advance(step, rng)
+        step = self._step(before, now, taken, failed, after)
+        ended = {name: term(step) for name, term in self.terminations.items()}
+        step = replace(step, ended=ended)
+        terms = {name: term(step) for name, term in self.terms.items()}
+        return after, self._outcome(terms, ended, failed)
+
+    def _step(self, before: Memory, now: Measurement, action: np.ndarray, failed: np.ndarray, after: Memory) -> Step:
+        return Step(now, before, after, action, failed, self.facts, {})
+
+    def _outcome(self, terms: dict[str, Any], ended: dict[str, Any], diverged: np.ndarray) -> Outcome:
+        never = np.zeros(diverged.shape, dtype=bool)
+
+        def any_of(kind: str, value: bool) -> np.ndarray:
+            holding = [ended[n] for n, term in self.terminations.items() if getattr(term, kind) is value]
+            return np.logical_or.reduce(holding) if holding else never
+
+        terminated = any_of("truncates", False)
+        truncated = any_of("truncates", True) & ~terminated
+        return Outcome(terms, terminated, truncated, any_of("succeeds", True) & ~terminated, diverged)
+
+    # The same task, otherwise.
+
+    def judged_by(self, reward: Reward) -> SimulatedTask:
+        """Return the same task under another reward."""
+        return type(self)(self.robot, reward, self.settings, self.graph)
+
+    def on(self, robot: Robot) -> SimulatedTask:
+        """Return the same task on a changed robot that has the same graph."""
+        return type(self)(robot, self.reward, self.settings, self.graph)
+
+    def endless(self) -> SimulatedTask:
+        """Return the same task whose episodes end only by what the robot could not go on from."""
+        kept = {n: term if term is not None and term.fatal else None for n, term in self.settings.terminations.items()}
+        return type(self)(self.robot, self.reward, replace(self.settings, terminations=kept), self.graph)

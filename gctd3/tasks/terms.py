@@ -1,0 +1,304 @@
+"""Terms of which tasks are composed: rewards, terminations, commands, randomisations, and the arrays they remember.
+
+A term is a small frozen dataclass with ``__call__``: a pure function over arrays whose leading dimensions ``*`` are the
+robots (none for one robot, ``[N]`` for a batch). It is written to the array API standard, so that the same term runs on
+NumPy arrays and on PyTorch tensors: functions come from :attr:`Step.xp`, and nothing is changed in place. A term of
+your own is a class in your package and a line of YAML: ``+reward.terms.mine._target_=my_package.Mine``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from array_api_compat import array_namespace
+
+from gctd3.errors import ConfigError
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.nodes import foot_slots
+from gctd3.robots.robot import Robot
+from gctd3.tasks.measurement import Measurement
+
+Array = Any  # of NumPy or of PyTorch
+
+
+@dataclass(frozen=True)
+class RobotFacts:
+    """What terms ask of a robot: counts, and where its legs' angles stand.
+
+    Attributes:
+        control_dt: Control period (s).
+        joints: ``J``.
+        actions: ``A``.
+        feet: Number of feet; leg ``i`` ends in foot ``i``.
+        hips: For each leg the index of its hip in ``Measurement.angles``, shape ``[feet]``.
+        hip_signs: Factors that make a hip's angle count in the sense of its mirror image, shape ``[feet]``.
+        hip_mirror_signs: +1 if equal angles of a hip and its mirror image mirror each other, else -1, shape ``[feet]``.
+        foot_pairs: Indices of the feet that mirror each other, shape ``[P, 2]``.
+        mirror_feet: For each foot the index of its mirror image, its own if it has none, shape ``[feet]``.
+        base: Names of the coordinates in ``Measurement.base``.
+        node_joints: For each joint's node the index of the joint in ``Measurement.angles``, shape ``[J]``.
+        foot_slots: Of each foot its ground node, counted from the last one (-1), and place there, shape ``[feet, 2]``.
+    """
+
+    control_dt: float
+    joints: int
+    actions: int
+    feet: int
+    hips: np.ndarray
+    hip_signs: np.ndarray
+    hip_mirror_signs: np.ndarray
+    foot_pairs: np.ndarray
+    mirror_feet: np.ndarray
+    base: tuple[str, ...]
+    node_joints: np.ndarray
+    foot_slots: np.ndarray
+
+    @classmethod
+    def from_robot(cls, robot: Robot, graph: KinematicGraph, control_dt: float) -> RobotFacts:
+        """Read the facts off a robot and the nodes of its graph."""
+        names = [joint.name for joint in robot.joints]
+        pairs = [(i, k) for i, k in enumerate(robot.mirror_feet) if i < k]
+        return cls(
+            control_dt=control_dt,
+            joints=len(names),
+            actions=len(robot.actuated),
+            feet=len(robot.feet),
+            hips=np.array([names.index(leg[0].name) for leg in robot.legs]),
+            hip_signs=robot.hip_signs,
+            hip_mirror_signs=np.array([robot.mirror_sign(leg[0].name) for leg in robot.legs]),
+            foot_pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
+            mirror_feet=np.array(robot.mirror_feet),
+            base=robot.base.extra,
+            node_joints=np.array([names.index(name) for name in graph.nodes if name in names]),
+            foot_slots=foot_slots(robot),
+        )
+
+    def size(self, dimension: int | str) -> int:
+        """Resolve a dimension of a remembered array: a number, or ``feet``, ``joints`` or ``actions``."""
+        return dimension if isinstance(dimension, int) else int(getattr(self, dimension))
+
+
+@dataclass(frozen=True)
+class Step:
+    """One control step as terms see it.
+
+    Attributes:
+        now: What is measured after it.
+        before: What was remembered before it, by name.
+        after: What is remembered after it, by name; empty while that is being computed.
+        action: In [-1, 1], shape ``[*, A]``.
+        diverged: Whether the simulation failed, shape ``[*]``.
+        facts: Of the robot.
+        ended: Which terminations hold, by name, shape ``[*]`` each; empty while those are being computed.
+    """
+
+    now: Measurement
+    before: Mapping[str, Array]
+    after: Mapping[str, Array]
+    action: Array
+    diverged: Array
+    facts: RobotFacts
+    ended: Mapping[str, Array]
+
+    @cached_property
+    def xp(self) -> Any:  # noqa: ANN401 - a module
+        """The array library's functions, by the names of the array API standard."""
+        return array_namespace(self.now.angles)
+
+    def constant(self, values: np.ndarray, like: Array) -> Array:
+        """Turn a constant array into one of this step's library, of the type of ``like`` unless it holds indices."""
+        kind = None if values.dtype.kind in "iub" else like.dtype
+        return self.xp.asarray(values, dtype=kind)
+
+    @property
+    def hips(self) -> Array:
+        """Angles of the hips, shape ``[*, feet]`` (rad)."""
+        return hips(self.now, self.facts)
+
+
+def hips(now: Measurement, facts: RobotFacts) -> Array:
+    """Take the angles of the hips, one a leg, shape ``[*, feet]`` (rad)."""
+    xp = array_namespace(now.angles)
+    return xp.take(now.angles, xp.asarray(facts.hips), axis=-1)
+
+
+@dataclass(frozen=True)
+class Remembered:
+    """An array that the environment keeps for a term from step to step, resets with the episode and checkpoints.
+
+    Two terms that ask for the same thing share it; two that ask for different things by one name are refused.
+
+    Attributes:
+        name: Under which ``Step.before`` and ``Step.after`` hold it.
+        shape: Beside the robots' dimensions; ``feet``, ``joints`` and ``actions`` stand for their numbers.
+        start: Value at a reset: a number, or a function of what is measured then and the robot's facts.
+        update: Function of the array before the step and the step; returns the array after it. Its type stays.
+    """
+
+    name: str
+    shape: Sequence[int | str]
+    start: float | bool | Callable[[Measurement, RobotFacts], Array]
+    update: Callable[[Array, Step], Array]
+
+    def begin(self, now: Measurement, facts: RobotFacts) -> Array:
+        """Return the value at a reset, shape ``[*, shape]``."""
+        if callable(self.start):
+            return self.start(now, facts)
+        xp = array_namespace(now.position)
+        kind = {bool: xp.bool, int: xp.int64}.get(type(self.start), now.position.dtype)
+        return xp.full((*now.position.shape, *map(facts.size, self.shape)), self.start, dtype=kind)
+
+
+def recent(quantity: str, length: int, *shape: int | str) -> Remembered:
+    """Remember the last values of a measured quantity, oldest first; at a reset all of them are the first one.
+
+    Args:
+        quantity: Field of :class:`.Measurement`.
+        length: How many.
+        shape: Of one value.
+    """
+    return Remembered(f"{quantity}[{length}]", (length, *shape), _RepeatFirst(quantity, length), _PushNewest(quantity))
+
+
+# Not functions inside of a function: two terms that remember the same thing must be seen to.
+@dataclass(frozen=True)
+class _RepeatFirst:
+    quantity: str
+    length: int
+
+    def __call__(self, now: Measurement, facts: RobotFacts) -> Array:
+        value = getattr(now, self.quantity)
+        return array_namespace(value).stack([value] * self.length, axis=now.position.ndim)
+
+
+@dataclass(frozen=True)
+class _PushNewest:
+    quantity: str
+
+    def __call__(self, before: Array, step: Step) -> Array:
+        xp, value, axis = step.xp, getattr(step.now, self.quantity), step.now.position.ndim
+        keep = (slice(None),) * axis + (slice(1, None),)
+        return xp.concat([before[keep], xp.expand_dims(value, axis=axis)], axis=axis)
+
+
+@dataclass(frozen=True)
+class Term(ABC):  # noqa: B024 - what each kind of term returns is its own affair
+    """A part of a task."""
+
+    def remembers(self) -> tuple[Remembered, ...]:
+        """Return the arrays that it needs from step to step."""
+        return ()
+
+    def reads(self) -> tuple[str, ...]:
+        """Return the names of the terminations that it reads from ``Step.ended``."""
+        return ()
+
+    def applies(self, facts: RobotFacts) -> bool:
+        """Return whether the robot has what the term is about; one that does not apply is left out."""
+        return True
+
+
+@dataclass(frozen=True)
+class RewardTerm(Term):
+    """A summand of the reward.
+
+    Attributes:
+        weight: Factor; negative for a penalty.
+    """
+
+    weight: float = 1.0
+
+    @abstractmethod
+    def __call__(self, step: Step) -> Array:
+        """Return what the step is worth, the weight included, shape ``[*]``."""
+
+
+@dataclass(frozen=True)
+class Termination(Term):
+    """A reason for an episode to end.
+
+    Class attributes:
+        truncates: Whether the value of what would have followed is bootstrapped, as at a time limit.
+        succeeds: Whether it is what the task is about.
+        fatal: Whether the robot could not go on if the episode did, as after a fall.
+    """
+
+    truncates: ClassVar[bool] = False
+    succeeds: ClassVar[bool] = False
+    fatal: ClassVar[bool] = False
+
+    @abstractmethod
+    def __call__(self, step: Step) -> Array:
+        """Return whether it holds, bool of shape ``[*]``."""
+
+    def clock(self, after: Mapping[str, Array], facts: RobotFacts, time_limit: int) -> Array | None:
+        """Return how near it is, shape ``[*, K]``, for critics alone to see; ``None`` if it does not come by waiting.
+
+        Args:
+            after: What is remembered.
+            facts: Of the robot.
+            time_limit: Longest episode (control steps), to scale what has no limit of its own.
+        """
+        return None
+
+    def clock_mirror(self, facts: RobotFacts) -> tuple[np.ndarray, np.ndarray]:
+        """Return source and sign, each ``[K]``: ``sign * clock[..., source]`` is the mirrored robot's clock."""
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
+
+
+@dataclass(frozen=True)
+class Command(Term):
+    """What a robot is told to do, drawn anew from time to time; terms and features read it by its name.
+
+    Attributes:
+        every: Time after which it is drawn anew (s).
+    """
+
+    every: float = 5.0
+
+    def __post_init__(self) -> None:
+        if not self.every > 0:
+            raise ConfigError(f"every must be above 0 s, got {self.every}.")
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Return ``K``, how many numbers it is."""
+
+    @abstractmethod
+    def __call__(self, rng: np.random.Generator | np.random.RandomState, count: int) -> np.ndarray:
+        """Draw a command for each of ``count`` robots, shape ``[count, K]``."""
+
+
+@dataclass(frozen=True)
+class Randomisation(Term):
+    """A change of where and how an episode begins."""
+
+    @abstractmethod
+    def __call__(
+        self, rng: np.random.Generator | np.random.RandomState, robot: Robot, qpos: np.ndarray, qvel: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pose ``[nq]`` and velocities ``[nv]`` of one robot with which its episode begins."""
+
+
+def check_terms(where: str, terms: Mapping[str, Any], kind: type[Term]) -> dict[str, Any]:
+    """Check that a mapping holds terms of one kind by name; one that is ``None`` is left out.
+
+    Raises:
+        ConfigError: If one is something else; the message names it and what is accepted.
+    """
+    for name, term in terms.items():
+        if term is not None and not isinstance(term, kind):
+            given = type(term).__name__ if isinstance(term, Term) else repr(term)
+            raise ConfigError(
+                f"{where}.{name} must be null or a mapping whose _target_ is a {kind.__name__}, got {given}."
+            )
+        weight = getattr(term, "weight", 0.0)
+        if isinstance(weight, bool) or not isinstance(weight, (int, float)) or not np.isfinite(weight):
+            raise ConfigError(f"{where}.{name}.weight must be a number, got {weight!r}.")
+    return {name: term for name, term in terms.items() if term is not None}
