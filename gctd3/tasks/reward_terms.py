@@ -194,7 +194,7 @@ class Overspeed(RewardTerm):
     def __call__(self, step: Step) -> Array:
         """Return ``weight`` times the excess, shape ``[*]``."""
         excess = step.now.velocity - self.above
-        return self.weight * step.xp.maximum(excess, step.xp.zeros_like(excess))
+        return self.weight * step.xp.where(excess > 0.0, excess, 0.0)
 
 
 @dataclass(frozen=True)
@@ -225,8 +225,8 @@ class SwingTime(RewardTerm):
         """Return ``weight`` times what is missing or too much, summed over the feet that touch down, shape ``[*]``."""
         xp, before = step.xp, step.before[AIR_STEPS.name]
         in_air = before * step.facts.control_dt
-        zero = xp.zeros_like(in_air)
-        off = xp.maximum(self.least - in_air, zero) + xp.maximum(in_air - self.most, zero)
+        short, long = self.least - in_air, in_air - self.most
+        off = xp.where(short > 0.0, short, 0.0) + xp.where(long > 0.0, long, 0.0)
         touchdown = step.now.feet_down & (before > 0)
         # The weight stands inside of the sum: sums of products are not products of sums, in the last bit.
         return xp.sum(xp.where(touchdown, self.weight * off, 0.0), axis=-1)

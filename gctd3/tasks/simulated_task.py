@@ -148,8 +148,9 @@ class SimulatedTask:
                     f"reward.terms.{name} must return one number for each of {batch[0]} robots, got "
                     f"{list(np.shape(value))} {np.asarray(value).dtype}."
                 )
+        step = Step(now, first, after, np.zeros((*batch, self.facts.actions)), np.zeros(batch, bool), self.facts, {})
         for name, term in self.terminations.items():
-            value = term(self._step(first, now, np.zeros((*batch, self.facts.actions)), np.zeros(batch, bool), after))
+            value = term(step)
             if np.shape(value) != batch or value.dtype != bool:
                 raise ConfigError(f"task.terminations.{name} must return true or false for each robot, got {value!r}.")
         self.num_counters = self.counters(first).shape[-1]
@@ -233,16 +234,14 @@ class SimulatedTask:
         shape = now.position.shape
         failed = diverged if diverged is not None else np.zeros(shape, dtype=bool)
         taken = action if action is not None else np.zeros((*shape, self.facts.actions))
-        step = self._step(before, now, taken, failed, {})
-        after = self.memory.advance(step, rng)
-        step = self._step(before, now, taken, failed, after)
-        ended = {name: term(step) for name, term in self.terminations.items()}
-        step = replace(step, ended=ended)
+        after: Memory = {}
+        ended: dict[str, np.ndarray] = {}
+        # One step for all terms, so that what several of them derive from it is derived once.
+        step = Step(now, before, after, taken, failed, self.facts, ended)
+        after.update(self.memory.advance(step, rng))
+        ended.update({name: term(step) for name, term in self.terminations.items()})
         terms = {name: term(step) for name, term in self.terms.items()}
         return after, self._outcome(terms, ended, failed)
-
-    def _step(self, before: Memory, now: Measurement, action: np.ndarray, failed: np.ndarray, after: Memory) -> Step:
-        return Step(now, before, after, action, failed, self.facts, {})
 
     def _outcome(self, terms: dict[str, Any], ended: dict[str, Any], diverged: np.ndarray) -> Outcome:
         never = np.zeros(diverged.shape, dtype=bool)

@@ -90,11 +90,11 @@ class Step:
     Attributes:
         now: What is measured after it.
         before: What was remembered before it, by name.
-        after: What is remembered after it, by name; empty while that is being computed.
+        after: What is remembered after it, by name; being filled while that is computed.
         action: In [-1, 1], shape ``[*, A]``.
         diverged: Whether the simulation failed, shape ``[*]``.
         facts: Of the robot.
-        ended: Which terminations hold, by name, shape ``[*]`` each; empty while those are being computed.
+        ended: Which terminations hold, by name, shape ``[*]`` each; being filled while those are computed.
     """
 
     now: Measurement
@@ -115,9 +115,9 @@ class Step:
         kind = None if values.dtype.kind in "iub" else like.dtype
         return self.xp.asarray(values, dtype=kind)
 
-    @property
+    @cached_property
     def hips(self) -> Array:
-        """Angles of the hips, shape ``[*, feet]`` (rad)."""
+        """Return the angles of the hips, one a leg, shape ``[*, feet]`` (rad)."""
         return hips(self.now, self.facts)
 
 
@@ -181,9 +181,9 @@ class _PushNewest:
     quantity: str
 
     def __call__(self, before: Array, step: Step) -> Array:
-        xp, value, axis = step.xp, getattr(step.now, self.quantity), step.now.position.ndim
-        keep = (slice(None),) * axis + (slice(1, None),)
-        return xp.concat([before[keep], xp.expand_dims(value, axis=axis)], axis=axis)
+        value, axis = getattr(step.now, self.quantity), step.now.position.ndim
+        robots = (slice(None),) * axis
+        return step.xp.concat([before[(*robots, slice(1, None))], value[(*robots, None)]], axis=axis)
 
 
 @dataclass(frozen=True)

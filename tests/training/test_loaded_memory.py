@@ -72,3 +72,11 @@ def test_an_update_with_what_was_loaded_equals_one_with_what_was_saved(tmp_path,
         assert again[0] == metrics
         assert torch.equal(again[1], action)
         assert all(torch.equal(again[2][key], value) for key, value in parameters.items())
+
+
+def test_arrays_are_saved_whatever_their_order_in_memory(tmp_path):
+    transposed = np.arange(6.0).reshape(2, 3).T
+    save_tree(tmp_path / "file", {"transposed": transposed, "number": np.array(3.0)})
+    loaded = load_tree(tmp_path / "file")
+    np.testing.assert_array_equal(loaded["transposed"], transposed)
+    assert loaded["number"].shape == ()
