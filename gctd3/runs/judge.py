@@ -33,14 +33,14 @@ class EvaluateSettings(Judging):
 
     Attributes:
         run: Directory of the run; the policy that ships with the library if ``None``.
-        reward: Under which to judge.
+        reward: Under which to judge; the one that training judged by if ``None``.
         out: Directory to write to; the run's if ``None``, nowhere if there is no run either.
         robustness: Whether to push, load and disturb the robot, too.
         perturbations: By how much.
     """
 
     run: str | None
-    reward: Reward
+    reward: Reward | None = None
     out: str | None = None
     robustness: bool = False
     perturbations: Perturbations = field(default_factory=Perturbations)
@@ -70,11 +70,12 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     policy = run.policy()
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-    task = run.setup.task.judged_by(settings.reward)
+    reward = settings.reward or run.settings.evaluation.reward
+    task = run.setup.task.judged_by(reward)
     env = build_env(task, run.settings.env.judging(settings.episodes, settings.threads), settings.seed)
     walks, dt = "film" in task.abilities, task.control_dt
     result = evaluate(policy, env, task, settings.seed, record=walks)
-    about: dict[str, object] = {"reward": settings.reward.to_dict()} if walks else {"task": task.name}
+    about: dict[str, object] = {"reward": reward.to_dict()} if walks else {"task": task.name}
     report: dict[str, object] = {
         **about,
         **result.summary(),
@@ -104,10 +105,11 @@ def examine_run(settings: EvaluateSettings, stride_time: float | None) -> dict[s
     from gctd3.training.checkpoint import versions
 
     run, folder = load_run(settings.run), settings.folder
-    task = run.task("robustness", settings.reward)
+    reward = settings.reward or run.settings.evaluation.reward
+    task = run.task("robustness", reward)
     env = run.settings.env.judging(settings.episodes, settings.threads)
     examination = Examination(run.policy(), task, env, settings.seed, settings.perturbations)
-    results = {**examination.results(stride_time), "reward": settings.reward.to_dict(), "versions": versions()}
+    results = {**examination.results(stride_time), "reward": reward.to_dict(), "versions": versions()}
     if folder is None:
         return results
     write_text(folder / ROBUSTNESS, json.dumps(_finite(results), indent=1) + "\n")

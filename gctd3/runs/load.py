@@ -40,13 +40,13 @@ class LoadedRun:
         return policy
 
     def task(self, ability: Ability, reward: Reward | None = None) -> Any:  # noqa: ANN401 - a task with that ability
-        """Return its task under a reward, the paper's by default.
+        """Return its task under a reward, by default the one that training judged by.
 
         Raises:
             RunError: If the task does not have the ability.
         """
         check_able(self.setup.task, ability, self.directory)
-        return self.setup.task.judged_by(reward or Reward())
+        return self.setup.task.judged_by(reward or self.settings.evaluation.reward)
 
 
 def load_run(run: str | Path | None = None) -> LoadedRun:
