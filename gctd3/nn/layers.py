@@ -13,6 +13,8 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
+from gctd3.nn.stacking import stackable_layer
+
 
 class _Stacked(torch.autograd.Function):
     """Linear layers with ReLU between them, of ``E`` networks at once, and their gradients by hand.
@@ -86,6 +88,7 @@ def stacked_linear(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
     return x @ weight.mT if bias is None else stacked_layers(x, weight, bias)
 
 
+@stackable_layer
 class Linear(nn.Linear):
     """As :class:`torch.nn.Linear`; weights ``[E, O, I]`` map ``[B, I]`` or ``[E, B, I]`` to ``[E, B, O]``."""
 
@@ -96,6 +99,7 @@ class Linear(nn.Linear):
         return stacked_linear(input, self.weight, self.bias)
 
 
+@stackable_layer
 class LayerNorm(nn.LayerNorm):
     """As :class:`torch.nn.LayerNorm` over the last dimension; parameters stacked to ``[E, D]`` take ``[E, B, D]``."""
 
@@ -107,6 +111,7 @@ class LayerNorm(nn.LayerNorm):
         return torch.addcmul(self.bias.unsqueeze(-2), normal, self.weight.unsqueeze(-2))
 
 
+@stackable_layer
 class MLP(nn.Sequential):
     """As :class:`torch.nn.Sequential`; linear layers with ReLU between them run as one if their parameters are stacked.
 
@@ -120,7 +125,7 @@ class MLP(nn.Sequential):
 
     def forward(self, input: Tensor) -> Tensor:
         """Apply the layers, or those of all of a stack."""
-        linear = cast("list[Linear]", list(self._modules.values())[::2])
+        linear = cast("list[Linear]", list(self)[::2])
         if self._plain and linear[0].weight.ndim == 3:
             return stacked_layers(input, *(p for layer in linear for p in (layer.weight, layer.bias)))
         out: Tensor = super().forward(input)  # type: ignore[no-untyped-call]
