@@ -49,7 +49,9 @@ class GraphLayer(nn.Module, ABC):
             nn.init.zeros_(self.bias)
 
     def forward(self, nodes: Tensor) -> Tensor:
-        """Convolve ``nodes [*, N, F]``; with parameters stacked to ``[E, ...]``, ``[(E,) B, N, F]`` to ``[E, B, N, F']``.
+        """Convolve ``nodes [*, N, F]``.
+
+        With parameters stacked to ``[E, ...]``, ``[B, N, F]`` and ``[E, B, N, F]`` give ``[E, B, N, F']``.
 
         Raises:
             ValueError: If the trailing dimensions are not ``[N, F]``.

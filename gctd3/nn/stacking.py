@@ -1,7 +1,8 @@
 """Which networks can run as a stack, with parameters ``[E, ...]`` of ``E`` networks in one module.
 
-It is declared, never tried out: a class says it of itself with one of the decorators below, and a network is stackable
-if every module in it has said so, or is known here. A subclass has to say it again, since it may compute something else.
+It is declared, never tried out: a class is declared with one of the decorators below, and a network is stackable if
+every module in it is of a declared class or of one known here. A subclass has to be declared again, since it may
+compute something else.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ _NETWORKS: set[type[nn.Module]] = set()
 def stackable_layer(layer: T) -> T:
     """Declare a layer to take parameters stacked to ``[E, ...]``, in networks that are declared to.
 
-    It then maps ``[B, ...]``, the same for all ``E``, and ``[E, B, ...]``, as an earlier layer of the stack gives it, to
-    ``[E, B, ...]``. Graph layers have their nodes before the batch, as their docstrings say.
+    It then maps ``[B, ...]``, the same for all ``E``, and ``[E, B, ...]``, as an earlier layer of the stack gives it,
+    to ``[E, B, ...]``. Graph layers have their nodes before the batch where their docstrings say so.
     """
     _KNOWN.add(layer)
     return layer

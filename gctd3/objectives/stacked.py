@@ -59,7 +59,9 @@ class StackedLoss(compat.LossHooks):
     stacked = False
     _copies: Networks
 
-    def decide(self, critics: TensorDictModuleBase | Sequence[TensorDictModuleBase], actor: TensorDictModuleBase) -> None:
+    def decide(
+        self, critics: TensorDictModuleBase | Sequence[TensorDictModuleBase], actor: TensorDictModuleBase
+    ) -> None:
         """Look at the networks, after TorchRL's constructor.
 
         Args:
@@ -68,7 +70,9 @@ class StackedLoss(compat.LossHooks):
         """
         self._copies = Networks()
         several = critics if isinstance(critics, (list, tuple)) else [critics]
-        outside = tuple(key for key in actor.out_keys if key != self.tensor_keys.action)  # type: ignore[attr-defined]
+        # The name of the action may still be changed, by set_keys; an actor's only output is no other's.
+        action = self.tensor_keys.action if len(actor.out_keys) > 1 else actor.out_keys[0]  # type: ignore[attr-defined]
+        outside = tuple(key for key in actor.out_keys if key != action)
         found = [obstacle for critic in several for obstacle in obstacles(critic, outside)]
         self.stacked = not found
         if found:

@@ -26,8 +26,8 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
     Same constructor and keys, same losses and gradients, for any networks and any batch size that TorchRL's takes. Two
     differences: critics whose layers can be stacked (:mod:`gctd3.nn.stacking`) run as one batched module (no ``vmap``;
     the actor's loss evaluates the one critic that it uses, so that ``state_action_value_actor`` is ``[*]`` instead of
-    ``[E, *]``), and the critics' ``in_keys`` are taken from the whole batch, where TorchRL passes on only what the actor
-    reads.
+    ``[E, *]``), and the critics' ``in_keys`` are taken from the whole batch, where TorchRL passes on only what the
+    actor reads.
 
     TorchRL sets exploration type and recurrent mode around every method that ends in ``loss``. :meth:`of_actor` and
     :meth:`of_critics` give the same without, for networks of gctd3's layers, which know neither.
@@ -75,7 +75,7 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
             critic = self._copies.get("first critic", self.qvalue_network, lambda: self.qvalue_network_params.data[0])
             value = found = values(critic, seen, {self.tensor_keys.action: action})
         else:
-            found = self._values("", seen, self.qvalue_network_params.detach, action)
+            found = self._values("detached critics", seen, lambda: self.qvalue_network_params.data, action)
             value = found[0]
         weights = priority_weight(self, tensordict)
         loss = reduce_loss(self, -value, tensordict, weights)

@@ -5,148 +5,41 @@ import warnings
 
 import pytest
 import torch
+from losses import (
+    CRITICS,
+    KEYS,
+    N_ACT,
+    N_OBS,
+    STACKED,
+    Quadratic,
+    ValueClass,
+    assert_equal,
+    data,
+    double,
+    make,
+    pair,
+    results,
+    sac_actor,
+    td3_actor,
+)
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl import objectives as torchrl
-from torchrl.data import Bounded
-from torchrl.modules import MLP, Actor, ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.modules.distributions import NormalParamExtractor
-from torchrl.objectives import SoftUpdate, ValueEstimators
+from torchrl.objectives import ValueEstimators
 
 from gctd3 import objectives as ours
 from gctd3.errors import PerformanceWarning
 from gctd3.nn import Network, make_actor, make_critic, make_stochastic_actor
-from gctd3.nn.layers import Linear
-from gctd3.nn.stacking import obstacles, stackable_network
 
-# The sizes of the examples in TorchRL's docstrings; the critic there is `ValueClass`.
-N_ACT, N_OBS = 4, 3
-SPEC = Bounded(-torch.ones(N_ACT), torch.ones(N_ACT), (N_ACT,))
-KEYS = ["observation", "action"]
-
+BATCHES = [(2,), (5,), (4, 8), (2, 2), (2, 3, 2), ()]
 pytestmark = [
     pytest.mark.filterwarnings("ignore::gctd3.errors.PerformanceWarning"),
     # TorchRL's, of target parameters that nothing updates.
     pytest.mark.filterwarnings("ignore:No target network updater:UserWarning"),
 ]
-
-
-class ValueClass(nn.Module):
-    def __init__(self, layer=nn.Linear):
-        super().__init__()
-        self.linear = layer(N_OBS + N_ACT, 1)
-
-    def forward(self, obs, act):
-        return self.linear(torch.cat([obs, act], -1))
-
-
-@stackable_network
-class Quadratic(nn.Module):
-    """A critic of one's own that takes stacked parameters: (w . [obs, act])^2, for any batch."""
-
-    def __init__(self):
-        super().__init__()
-        self.weight = nn.Parameter(torch.randn(N_OBS + N_ACT))
-
-    def forward(self, obs, act):
-        x = torch.cat([obs, act], -1)
-        if self.weight.ndim == 1:
-            return (x @ self.weight).square().unsqueeze(-1)
-        return torch.einsum("...i,ei->e...", x, self.weight).square().unsqueeze(-1)
-
-
-def td3_actor():
-    return Actor(module=nn.Linear(N_OBS, N_ACT), spec=SPEC)
-
-
-def sac_actor():
-    net = nn.Sequential(nn.Linear(N_OBS, 2 * N_ACT), NormalParamExtractor())
-    module = TensorDictModule(net, in_keys=["observation"], out_keys=["loc", "scale"])
-    return ProbabilisticActor(module=module, in_keys=["loc", "scale"], spec=SPEC, distribution_class=TanhNormal)
-
-
-CRITICS = {
-    "docstring": lambda: ValueOperator(module=ValueClass(), in_keys=KEYS),
-    "list": lambda: [ValueOperator(module=ValueClass(), in_keys=KEYS) for _ in range(2)],
-    "the same twice": lambda: [ValueOperator(module=ValueClass(), in_keys=KEYS)] * 2,
-    "mlp": lambda: [ValueOperator(MLP(out_features=1, num_cells=[8, 8], in_features=7), KEYS) for _ in range(2)],
-    "plain": lambda: [TensorDictModule(ValueClass(), KEYS, ["state_action_value"]) for _ in range(2)],
-    "our layer in a forward of its own": lambda: [
-        TensorDictModule(ValueClass(Linear), KEYS, ["state_action_value"]) for _ in range(2)
-    ],
-    "declared": lambda: [TensorDictModule(Quadratic(), KEYS, ["state_action_value"]) for _ in range(2)],
-    "declared, one": lambda: TensorDictModule(Quadratic(), KEYS, ["state_action_value"]),
-}
-STACKED = {"declared", "declared, one"}
-BATCHES = [(2,), (5,), (4, 8), (2, 2), (2, 3, 2), ()]
-
-
-def data(batch, horizon=False):
-    torch.manual_seed(1)
-    terminated = torch.rand(*batch, 1) < 0.3
-    following = {
-        "observation": torch.randn(*batch, N_OBS),
-        "reward": torch.randn(*batch, 1),
-        "terminated": terminated,
-        "done": terminated | (torch.rand(*batch, 1) < 0.3),
-    }
-    seen = {"observation": torch.randn(*batch, N_OBS), "action": torch.rand(*batch, N_ACT) * 1.8 - 0.9}
-    return TensorDict({**seen, "next": TensorDict(following, batch)}, batch)
-
-
-def make(library, name, actor, critics, *more, estimator=ValueEstimators.TD0, **settings):
-    """A loss on copies of the networks, made from the same seed."""
-    kind = getattr(library, name)
-    extra = {"bounds": (-1.0, 1.0)} if name == "TD3Loss" else {"target_entropy": -float(N_ACT)}
-    torch.manual_seed(2)  # of a single critic TorchRL draws several
-    loss = kind(*copy.deepcopy((actor, critics, *more)), **{**extra, **settings})
-    loss.make_value_estimator(estimator, gamma=0.9)
-    if settings.get("delay_qvalue", True):
-        SoftUpdate(loss, tau=0.1)
-        torch.manual_seed(3)
-        for name in sorted(n for n, _ in loss.named_children() if n.startswith("target_")):
-            for _, value in sorted(getattr(loss, name).flatten_keys(".").items()):
-                value.data.add_(0.1 * torch.randn(value.shape))  # away from what they follow
-    return loss
-
-
-def results(loss, batch):
-    """What the loss says, what it writes, and the gradients of each of its terms."""
-    written = batch.clone()
-    torch.manual_seed(4)
-    out = loss(written)
-    found = {}
-    for term in sorted(key for key in out.keys() if key.startswith("loss_")):
-        loss.zero_grad()
-        out[term].mean().backward(retain_graph=True)
-        found[term] = {n: None if p.grad is None else p.grad.clone() for n, p in loss.named_parameters()}
-    return out, written, found
-
-
-def assert_equal(mine, theirs, batch, stacked=False):
-    (out, written, gradients), (expected, their_written, their_gradients) = results(mine, batch), results(theirs, batch)
-    close = {"rtol": 1e-6, "atol": 1e-6}
-    assert set(out.keys()) == set(expected.keys())
-    for key, value in expected.items():
-        if key == "state_action_value_actor" and stacked:
-            value = value[0]  # a stack evaluates the one critic that is used
-        torch.testing.assert_close(out[key], value, **close)
-    assert set(written.keys(True)) == set(their_written.keys(True))
-    torch.testing.assert_close(written["td_error"], their_written["td_error"], **close)
-    for term, expected in their_gradients.items():
-        assert gradients[term].keys() == expected.keys()
-        assert any(gradient is not None and gradient.any() for gradient in expected.values()), term
-        for name, gradient in expected.items():
-            if gradient is None or not gradient.any():  # isolation: what a term does not train stays untouched
-                assert gradients[term][name] is None or not gradients[term][name].any(), (term, name)
-            else:
-                torch.testing.assert_close(gradients[term][name], gradient, **close)
-
-
-def pair(name, *networks, **settings):
-    return [make(library, name, *networks, **settings) for library in (ours, torchrl)]
-
 
 each_loss = pytest.mark.parametrize("name, actor", [("TD3Loss", td3_actor), ("SACLoss", sac_actor)])
 
@@ -292,26 +185,43 @@ def test_our_networks_on_any_batch(graph, name, maker, network, batch):
     following = {"nodes": torch.randn(*batch, 8, 10), "reward": torch.randn(*batch, 1)}
     following |= {"terminated": terminated, "done": terminated.clone()}
     seen = {"nodes": torch.randn(*batch, 8, 10), "action": torch.rand(*batch, 6) * 1.8 - 0.9}
-    both = TensorDict({**seen, "next": TensorDict(following, batch)}, batch).double()
+    both = double(TensorDict({**seen, "next": TensorDict(following, batch)}, batch))
     mine, theirs = pair(name, actor.double(), [critic.double() for critic in critics])
     assert mine.stacked
-    assert_equal(mine, theirs, both, stacked=True)
+    assert_equal(mine, theirs, both, stacked=name == "TD3Loss")
 
 
-@pytest.mark.parametrize("name, actor", [("TD3Loss", td3_actor), ("SACLoss", sac_actor)])
-def test_a_loss_that_is_moved_copied_or_told_of_randomness_goes_on(name, actor):
-    for kind in ("list", "declared"):
-        mine, theirs = pair(name, actor(), CRITICS[kind]())
-        batch = data((4, 8))
-        results(mine, batch)
-        for change in (
-            lambda loss: loss.double(),
-            copy.deepcopy,
-            lambda loss: loss.set_vmap_randomness("different") or loss,
-        ):
-            mine, theirs = change(mine), change(theirs)
-            double = batch.double()
-            assert_equal(mine, theirs, double, mine.stacked)
+@pytest.mark.parametrize("kind", ["list", "declared"])
+@each_loss
+def test_a_loss_that_is_moved_copied_or_told_of_randomness_goes_on(name, actor, kind):
+    mine, theirs = pair(name, actor(), CRITICS[kind]())
+    if mine.stacked or name == "TD3Loss":  # TorchRL's go on with old parameters if they were called before
+        results(mine, data((4, 8)))
+    mine, theirs = mine.double(), theirs.double()
+    assert_equal(mine, theirs, double(data((4, 8))), mine.stacked)
+    mine, theirs = copy.deepcopy(mine), copy.deepcopy(theirs)
+    assert_equal(mine, theirs, double(data((4, 8))), mine.stacked)
+    for loss in (mine, theirs):
+        loss.set_vmap_randomness("different")
+    assert_equal(mine, theirs, double(data((4, 8))), mine.stacked)
+
+
+@pytest.mark.parametrize("kind", [ValueClass, Quadratic])
+@each_loss
+def test_one_critic_twice_is_trained_once(name, actor, kind):
+    """TorchRL expands its parameters; the gradient is that of both together."""
+    found = []
+    for library in (ours, torchrl):
+        torch.manual_seed(0)
+        critic = TensorDictModule(kind(), KEYS, ["state_action_value"])
+        extra = {"bounds": (-1.0, 1.0)} if name == "TD3Loss" else {"target_entropy": -float(N_ACT)}
+        loss = getattr(library, name)(actor(), [critic, critic], **extra)
+        torch.manual_seed(4)
+        out = loss(data((4, 8)))
+        out["loss_qvalue"].backward()
+        found.append([out["loss_qvalue"], out["loss_actor"], *(p.grad for p in critic.parameters())])
+    for one, other in zip(*found, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-6)
 
 
 # What is said, and of what.
@@ -325,37 +235,10 @@ def test_a_slow_loss_says_so_once_in_one_line():
     (line,) = [str(one.message) for one in said if one.category is PerformanceWarning]
     assert "\n" not in line
     assert "TD3Loss" in line and "slower" in line and "torch's Linear" in line
-    assert said[0].filename == __file__
+    assert said[0].filename == make.__code__.co_filename  # where the loss is made
 
 
 def test_a_stacked_loss_says_nothing(graph):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         make(ours, "TD3Loss", make_actor(graph), [make_critic(graph) for _ in range(2)])
-
-
-def wrapped(critic):
-    return TensorDictModule(critic, ["nodes", "action"], ["state_action_value"])
-
-
-def test_one_unknown_module_anywhere_is_an_obstacle(graph):
-    assert obstacles(make_critic(graph)) == []
-    plain = make_critic(graph)
-    plain.module.head[0] = nn.Linear(plain.module.head[0].in_features, 256)
-    assert obstacles(plain) == ["torch's Linear not declared to take stacked parameters"]
-    random = make_critic(graph)
-    random.module.head[1] = nn.Dropout()
-    assert "Dropout" in obstacles(random)[0]
-
-    class Subclass(type(make_critic(graph).module)):
-        pass
-
-    assert "Subclass" in obstacles(wrapped(Subclass(Network(), graph, 10, 6)))[0]
-    hooked = make_critic(graph)
-    hooked.module.head[0].register_forward_hook(lambda *_: None)
-    assert "Linear" in obstacles(hooked)[0]
-    patched = make_critic(graph)
-    patched.module.encoder.forward = lambda nodes: nodes.flatten(-2)
-    assert "GraphEncoder" in obstacles(patched)[0]
-    # A layer does not say where a batch ends; only a network does.
-    assert "whole network" in obstacles(TensorDictModule(Linear(3, 1), ["x"], ["state_action_value"]))[0]
