@@ -1,4 +1,4 @@
-"""Networks of PyTorch's own layers, as somebody writes them who does not know gctd3's, and algorithms that train them."""
+"""Networks of PyTorch's own layers, as somebody writes them who does not know gctd3's, and algorithms for them."""
 
 from dataclasses import dataclass
 

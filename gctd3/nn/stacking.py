@@ -60,9 +60,9 @@ def obstacles(network: TensorDictModuleBase, outside: tuple[str, ...] = ()) -> l
     if made := [str(key) for key in network.in_keys if key in outside]:
         return [f"the network reads what another one writes: {', '.join(made)}"]
     if unknown := sorted(set(_unknown(network.module))):
-        return [f"{', '.join(unknown)} not declared to take stacked parameters"]
+        return [f"not declared to take stacked parameters: {', '.join(unknown)}"]
     if type(network.module) not in _NETWORKS:
-        return [f"{_name(network.module)} not declared to be a whole network"]
+        return [f"not declared to be a whole network: {_name(network.module)}"]
     return []
 
 

@@ -55,7 +55,7 @@ def test_one_unknown_module_anywhere_is_an_obstacle(graph):
     assert obstacles(make_critic(graph)) == []
     plain = make_critic(graph)
     plain.module.head[0] = nn.Linear(plain.module.head[0].in_features, 256)
-    assert obstacles(plain) == ["torch's Linear not declared to take stacked parameters"]
+    assert obstacles(plain) == ["not declared to take stacked parameters: torch's Linear"]
     random = make_critic(graph)
     random.module.head[1] = nn.Dropout()
     assert "Dropout" in obstacles(random)[0]
