@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gctd3.nn.layers import stacked_linear
+from gctd3.nn.kernels import stacked_linear
 from gctd3.nn.stacking import stackable_layer
 
 

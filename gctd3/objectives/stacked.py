@@ -14,6 +14,8 @@ from torchrl.objectives import SoftUpdate
 
 from gctd3 import compat
 from gctd3.errors import PerformanceWarning
+from gctd3.nn import kernels
+from gctd3.nn.kernels import lerp_all
 from gctd3.nn.stacking import obstacles
 
 
@@ -53,7 +55,8 @@ class StackedLoss(compat.LossHooks):
     Attributes:
         stacked: Whether the critics run as one module with parameters stacked to ``[E, ...]``. They do if every module
             of every critic is declared to take such parameters (:mod:`gctd3.nn.stacking`); otherwise TorchRL's ``vmap``
-            evaluates them, which is slower, and a :class:`.PerformanceWarning` says so when the loss is made.
+            evaluates them, which is slower, and a :class:`.PerformanceWarning` says so when the loss is made. So it does
+            where plain versions are asked for (:mod:`gctd3.nn.kernels`).
     """
 
     stacked = False
@@ -74,7 +77,7 @@ class StackedLoss(compat.LossHooks):
         action = self.tensor_keys.action if len(actor.out_keys) > 1 else actor.out_keys[0]  # type: ignore[attr-defined]
         outside = tuple(key for key in actor.out_keys if key != action)
         found = [obstacle for critic in several for obstacle in obstacles(critic, outside)]
-        self.stacked = not found
+        self.stacked = not found and not kernels.plain()
         if found:
             warnings.warn(
                 f"{type(self).__name__} evaluates its critics by TorchRL's vmap, which is slower than one batched "
@@ -140,9 +143,7 @@ class FusedSoftUpdate(SoftUpdate):
         if self._lists is None:
             targets, sources = compat.update_pairs(self)
             self._lists = _leaves(targets), _leaves(sources)
-        import torch
-
-        torch._foreach_lerp_(*self._lists, 1.0 - self.eps)
+        lerp_all(*self._lists, 1.0 - self.eps)
 
 
 def _leaves(tensordict: TensorDictBase) -> list[Tensor]:
