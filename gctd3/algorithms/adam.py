@@ -65,4 +65,4 @@ class _Found(NamedTuple):
     state: tuple[list[Tensor], list[Tensor], list[Tensor]]
 
     def changed(self) -> bool:
-        return any(p.grad is None for p in self.moved) or any(p.grad is not None for p in self.resting)
+        return not self.moved or any(p.grad is None for p in self.moved) or any(p.grad is not None for p in self.resting)
