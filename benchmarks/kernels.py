@@ -26,7 +26,7 @@ BATCH, CALLS, ROBOTS, HISTORY = 256, 5, 32, 5
 
 
 def td3() -> Callable[[], object]:
-    """A whole update of TD3's critics and actor, with the default network."""
+    """A whole update of TD3's critics and actor, with the default network; plain with TorchRL's vmap."""
     graph = gctd3.KinematicGraph.from_mjcf("biped")
     algorithm = TD3Settings(policy_delay=1).build(Architecture(graph, Network(norm="layer"), 10, 6))
     done = torch.zeros(BATCH, 1, dtype=torch.bool)
@@ -34,6 +34,12 @@ def td3() -> Callable[[], object]:
     seen = {"nodes": torch.randn(BATCH, 8, 10), "action": torch.rand(BATCH, 6)}
     batch = TensorDict({**seen, "next": following}, [BATCH])
     return lambda: algorithm.update(batch)
+
+
+def stack() -> Callable[[], object]:
+    """The same with the critics as one batched module in both."""
+    with kernels.use_plain(False):
+        return td3()
 
 
 def critics() -> list[nn.Parameter]:
@@ -45,7 +51,13 @@ def critics() -> list[nn.Parameter]:
 def layers() -> Callable[[], object]:
     """The critics' fully connected layers, forwards and backwards."""
     parameters, x = critics(), torch.randn(2, BATCH, 134)
-    return lambda: torch.autograd.grad(kernels.stacked_layers(x, *parameters).sum(), parameters)
+
+    def both() -> None:
+        for parameter in parameters:
+            parameter.grad = None
+        kernels.stacked_layers(x, *parameters).sum().backward()
+
+    return both
 
 
 def adam() -> Callable[[], object]:
@@ -99,7 +111,7 @@ def main() -> None:
     chosen = options(out="", rounds="100")
     torch.set_num_threads(1)
     gains: dict[str, object] = {}
-    for make in (layers, adam, optimizer, lerp, frames, td3):
+    for make in (layers, adam, optimizer, lerp, frames, stack, td3):
         calls = {}
         for plain in (True, False):
             with kernels.use_plain(plain):  # losses decide when they are made
