@@ -41,6 +41,13 @@ def read(owner: object, name: str, seen: str) -> Any:  # noqa: ANN401
         ) from error
 
 
+def _need_behind(cls: type, mixin: type, name: str, seen: str) -> None:
+    """Raise a :class:`CompatError` if what stands behind a mixin among the bases of a class lacks what it overrides."""
+    behind = cls.__mro__[cls.__mro__.index(mixin) + 1 :]
+    if behind != (object,) and not any(hasattr(base, name) for base in behind):
+        read(behind[0], name, seen)
+
+
 # PyTorch
 
 
@@ -69,11 +76,8 @@ class LossHooks:
 
     def __init_subclass__(cls, **kwargs: Any) -> None:  # noqa: ANN401
         super().__init_subclass__(**kwargs)
-        behind = cls.__mro__[cls.__mro__.index(LossHooks) + 1 :]
-        if len(behind) > 1:  # more than object: the loss is among the bases
-            for name, seen in (("_apply", TORCH), ("_set_in_keys", TORCHRL), ("_make_vmap", TORCHRL)):
-                if not any(hasattr(base, name) for base in behind):
-                    read(behind[0], name, seen)
+        for name, seen in (("_apply", TORCH), ("_set_in_keys", TORCHRL), ("_make_vmap", TORCHRL)):
+            _need_behind(cls, LossHooks, name, seen)
 
     def parameters_move(self) -> None:
         """Prepare for the loss's tensors to be replaced, as ``to`` does."""
@@ -137,6 +141,45 @@ def update_pairs(updater: Any) -> tuple[Any, Any]:  # noqa: ANN401
     Private: ``TargetNetUpdater._targets`` and ``._sources`` (torchrl 0.14.1).
     """
     return read(updater, "_targets", TORCHRL), read(updater, "_sources", TORCHRL)
+
+
+# TorchRL's replay and collectors
+
+
+def waiting_steps(transform: Any) -> Any:  # noqa: ANN401
+    """Read the steps that wait in an n-step transform for their future, or ``None``.
+
+    Private: ``MultiStepTransform._buffer`` (torchrl 0.14.1).
+    """
+    return read(transform, "_buffer", TORCHRL)
+
+
+def set_waiting_steps(transform: Any, steps: Any) -> None:  # noqa: ANN401
+    """Set what :func:`waiting_steps` gives."""
+    read(transform, "_buffer", TORCHRL)
+    transform._buffer = steps
+
+
+class AnswerHook:
+    """Give TorchRL's way to send weights a hook for the wait; stands before ``SharedMemWeightSyncScheme``.
+
+    Private: ``SharedMemWeightSyncScheme._wait_for_ack`` and ``._ack_queues`` (torchrl 0.14.1).
+
+    Raises:
+        CompatError: If a class is made of a scheme without the former: its hook would never be called.
+    """
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:  # noqa: ANN401
+        super().__init_subclass__(**kwargs)
+        _need_behind(cls, AnswerHook, "_wait_for_ack", TORCHRL)
+
+    def await_answer(self, answers: Any) -> None:  # noqa: ANN401
+        """Wait for one worker to say in the queue ``answers`` that it has the weights."""
+        raise NotImplementedError
+
+    def _wait_for_ack(self, worker_ids: int | list[int] | None = None, timeout: float | None = None) -> None:
+        (answers,) = read(self, "_ack_queues", TORCHRL).values()
+        self.await_answer(answers)
 
 
 # TorchRL's environments

@@ -60,9 +60,11 @@ class Adam(torch.optim.Adam):
 class _Found(NamedTuple):
     """Parameters that had gradients at the last step, those that had none, and the state of the former."""
 
-    moved: list[nn.Parameter]
-    resting: list[nn.Parameter]
+    moved: list[Tensor]
+    resting: list[Tensor]
     state: tuple[list[Tensor], list[Tensor], list[Tensor]]
 
     def changed(self) -> bool:
-        return not self.moved or any(p.grad is None for p in self.moved) or any(p.grad is not None for p in self.resting)
+        return (
+            not self.moved or any(p.grad is None for p in self.moved) or any(p.grad is not None for p in self.resting)
+        )

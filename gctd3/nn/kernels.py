@@ -1,22 +1,23 @@
 """Hand-optimised arithmetic, each piece beside its plain version in plain PyTorch.
 
-``GCTD3_PLAIN=1`` in the environment has the plain versions computed instead, and TorchRL's losses evaluate their critics
-by ``vmap``: to find out whether a fault lies here. Results then agree to rounding, not to the last bit. Tests set it with
-:func:`use_plain`.
+With ``GCTD3_PLAIN=1`` in the environment the plain versions are computed, and losses evaluate their critics by
+TorchRL's ``vmap``: to find out whether a fault lies here. Results then agree to rounding, not to the last bit. In tests
+:func:`use_plain` does the same. No other file reads the variable.
 
 The gains are ratios of times, plain to fast, at batch 256 with the paper's networks: ``python benchmarks/kernels.py``,
-both versions in turn, best of many, one thread of one machine (AMD EPYC, torch 2.13). Elsewhere they differ.
+both versions in turn, best of 100 rounds, one thread of one machine (AMD EPYC, torch 2.13). Elsewhere they differ. A
+whole update of TD3 is 1.1 times as fast with them, and 1.5 times with one batched module in place of ``vmap``, too.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 VARIABLE = "GCTD3_PLAIN"
@@ -93,7 +94,7 @@ def _layers(x: Tensor, *parameters: Tensor) -> list[Tensor]:
 def stacked_layers(x: Tensor, *parameters: Tensor) -> Tensor:
     """Apply linear layers with ReLU between them, of ``E`` networks at once; differentiable once.
 
-    Fast: one hand-written node of autograd's graph. GAIN_LAYERS
+    Fast: one hand-written node of autograd's graph; 1.1 times as fast, forwards and backwards.
 
     Args:
         x: Input ``[B, I]``, which all share, or ``[E, B, I]``.
@@ -130,16 +131,17 @@ def stacked_linear(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
 
 
 def adam_step(
-    parameters: Sequence[nn.Parameter],
-    gradients: Sequence[Tensor],
-    first: Sequence[Tensor],
-    second: Sequence[Tensor],
-    steps: Sequence[Tensor],
+    parameters: list[Tensor],
+    gradients: list[Tensor],
+    first: list[Tensor],
+    second: list[Tensor],
+    steps: list[Tensor],
     group: dict[str, Any],
 ) -> None:
     """Take one step of Adam (arXiv:1412.6980, Algorithm 1) with all parameters, in place.
 
-    Fast: ``torch._fused_adam_`` and ``torch._foreach_add_`` (torch 2.13.0), called directly. GAIN_ADAM
+    Fast: ``torch._fused_adam_`` and ``torch._foreach_add_`` (torch 2.13.0), called directly; 6 times as fast as the
+    plain version, 1.2 times as fast as PyTorch's optimiser, which calls the same after looking for the tensors.
 
     Args:
         parameters: What to move.
@@ -173,11 +175,11 @@ def adam_step(
 
 @torch.no_grad()
 def adam_step_plain(
-    parameters: Sequence[nn.Parameter],
-    gradients: Sequence[Tensor],
-    first: Sequence[Tensor],
-    second: Sequence[Tensor],
-    steps: Sequence[Tensor],
+    parameters: list[Tensor],
+    gradients: list[Tensor],
+    first: list[Tensor],
+    second: list[Tensor],
+    steps: list[Tensor],
     group: dict[str, Any],
 ) -> None:
     """Compute :func:`adam_step` as the paper writes it, one parameter after another."""
@@ -188,13 +190,13 @@ def adam_step_plain(
         mean.mul_(beta1).add_((1 - beta1) * gradient)
         square.mul_(beta2).add_((1 - beta2) * gradient * gradient)
         mean_hat, square_hat = mean / (1 - beta1 ** float(step)), square / (1 - beta2 ** float(step))
-        parameter -= group["lr"] * mean_hat / (square_hat.sqrt() + group["eps"])
+        parameter.sub_(group["lr"] * mean_hat / (square_hat.sqrt() + group["eps"]))
 
 
-def lerp_all(targets: Sequence[Tensor], sources: Sequence[Tensor], share: float) -> None:
+def lerp_all(targets: list[Tensor], sources: list[Tensor], share: float) -> None:
     """Move each target the ``share`` of the way to its source, in place.
 
-    Fast: ``torch._foreach_lerp_`` (torch 2.13.0), one call for all. GAIN_LERP
+    Fast: ``torch._foreach_lerp_`` (torch 2.13.0), one call for all; 1.2 times as fast.
     """
     if _plain:
         lerp_all_plain(targets, sources, share)
@@ -202,7 +204,7 @@ def lerp_all(targets: Sequence[Tensor], sources: Sequence[Tensor], share: float)
         torch._foreach_lerp_(targets, sources, share)
 
 
-def lerp_all_plain(targets: Sequence[Tensor], sources: Sequence[Tensor], share: float) -> None:
+def lerp_all_plain(targets: list[Tensor], sources: list[Tensor], share: float) -> None:
     """Compute :func:`lerp_all` one target after another."""
     for target, source in zip(targets, sources, strict=True):
         target.lerp_(source, share)
@@ -214,7 +216,7 @@ def lerp_all_plain(targets: Sequence[Tensor], sources: Sequence[Tensor], share: 
 def stack_frames(frames: Tensor, age: Tensor, place: Tensor, back: Tensor, robots: int) -> Tensor:
     """Put the last frames up to each place side by side, oldest first; before an episode's first it repeats.
 
-    Fast: one gather by places in the flat ring. GAIN_FRAMES
+    Fast: one gather by places in the flat ring; 1.3 times as fast.
 
     Args:
         frames: The ring, rows and robots as one dimension, ``[rows * robots, N, F]``.
@@ -237,7 +239,7 @@ def stack_frames(frames: Tensor, age: Tensor, place: Tensor, back: Tensor, robot
 
 def stack_frames_plain(frames: Tensor, age: Tensor, place: Tensor, back: Tensor, robots: int) -> Tensor:
     """Compute :func:`stack_frames` frame by frame, from rows and robots."""
-    ring, ages = frames.unflatten(0, (-1, robots)), age.unflatten(0, (-1, robots))
+    ring, ages = frames.reshape(-1, robots, *frames.shape[1:]), age.reshape(-1, robots)
     row, robot = place // robots, place % robots
     oldest = ages[row, robot].long()
     rows = [(row - oldest.clamp(max=k)) % len(ring) for k in back.tolist()]
