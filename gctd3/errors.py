@@ -50,6 +50,10 @@ class RenderError(GCTD3Error, RuntimeError):
     """Nothing can be drawn here."""
 
 
+class PerformanceWarning(UserWarning):
+    """Something works, by a way that is slower than the one made for it."""
+
+
 def suggest(key: object, known: Iterable[str]) -> str:
     """``" Did you mean ...?"`` if something like ``key`` is known, else nothing."""
     close = difflib.get_close_matches(str(key), list(known), n=1)

@@ -131,7 +131,7 @@ class Algorithm(ABC):
         cuda = next(self.loss.parameters()).is_cuda
         for name in self.LOSSES:
             compiled = torch.compile(getattr(self.loss, name), mode="reduce-overhead" if cuda else "default")
-            self.loss.__dict__[name] = _in_a_step(compiled) if cuda else compiled
+            setattr(self.loss, name, _in_a_step(compiled) if cuda else compiled)
 
     @abstractmethod
     def averaged_actor_params(self) -> TensorDictBase:
@@ -169,9 +169,10 @@ class Algorithm(ABC):
 def _in_a_step(compiled: Callable[..., Any]) -> Callable[..., Any]:
     """A function on CUDA graphs, whose results would be overwritten by its next call, with results of its own."""
 
-    def call(*args: Any) -> Any:  # noqa: ANN401
+    def call(batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         torch.compiler.cudagraph_mark_step_begin()  # type: ignore[no-untyped-call]
-        return torch.utils._pytree.tree_map(torch.clone, compiled(*args))
+        loss, details = compiled(batch)
+        return loss.clone(), {key: value.clone() for key, value in details.items()}
 
     return call
 

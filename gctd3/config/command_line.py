@@ -22,6 +22,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from gctd3.compat import own_launcher
 from gctd3.config.help import CONF, asks_for_help, check_installed, command_of, fail, help_of
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
 
@@ -127,7 +128,7 @@ def _refuse(error: Exception, config: str) -> NoReturn:
         # The sweep itself fails at its end.
         print(f"error: {directory}: {said}", file=sys.stderr, flush=True)
         raise RunError(f"{directory} failed, as was said when it did; the other runs went on.") from None
-    if sweeping and not str(hydra_config.launcher.get("_target_")).startswith("hydra._internal"):
+    if sweeping and not own_launcher(hydra_config.launcher):
         raise RunError(said) from None  # for the process that started the sweep to say
     fail(said)
 

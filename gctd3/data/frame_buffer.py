@@ -10,6 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from gctd3.errors import ConfigError
+from gctd3.nn.kernels import stack_frames
 
 
 class FrameBuffer:
@@ -218,12 +219,7 @@ class FrameBuffer:
         return (place + rows * self.robots) % (self.rows * self.robots)
 
     def _stack(self, place: Tensor) -> Tensor:
-        """The frames up to ``place`` side by side, oldest first; before the episode's first it repeats."""
-        back = self._back.minimum(self._at("age", place)[:, None])
-        places = (place[:, None] - back * self.robots) % (self.rows * self.robots)
-        stack = self._at("nodes", places.reshape(-1))
-        stack = stack.reshape(*places.shape, *stack.shape[1:])
-        return stack.movedim(1, -2).flatten(-2)
+        return stack_frames(self._flat["nodes"], self._flat["age"], place, self._back, self.robots)
 
     def _last_at(self, key: str, place: Tensor) -> Tensor:
         table = self._last[key]

@@ -6,21 +6,23 @@ import contextlib
 import queue
 import signal
 from collections.abc import Iterator
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from torchrl.collectors import MultiSyncCollector
 from torchrl.weight_update import SharedMemWeightSyncScheme
 
+from gctd3.compat import AnswerHook
 from gctd3.data.worker import Job, Worker
 from gctd3.signals import SIGNALS
 
 
-class _Scheme(SharedMemWeightSyncScheme):
+class _Scheme(AnswerHook, SharedMemWeightSyncScheme):
     """TorchRL's, but it does not wait for ever for a worker that is dead."""
 
-    def _wait_for_ack(self, worker_ids: int | list[int] | None = None, timeout: float | None = None) -> None:
-        (answers,) = self._ack_queues.values()
+    def await_answer(self, answers: Any) -> None:  # noqa: ANN401 - a queue
+        """Wait for the worker to say that it has the weights, as long as it lives."""
         while self.context.procs[0].is_alive():
             with contextlib.suppress(queue.Empty):
                 answers.get(timeout=0.2)

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs.transforms import MultiStepTransform
 
+from gctd3.compat import set_waiting_steps, waiting_steps
 from gctd3.data.frame_buffer import FrameBuffer
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.errors import ConfigError, check_between
@@ -149,11 +150,11 @@ class StackedBuffer:
         """Forget everything."""
         self.torchrl.empty()
         if self._steps is not None:
-            self._steps._buffer = None
+            set_waiting_steps(self._steps, None)
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that is stored."""
-        waiting = self._steps._buffer if self._steps is not None else None
+        waiting = waiting_steps(self._steps) if self._steps is not None else None
         return {
             "stored": self.torchrl[:].to_dict() if len(self) else None,
             "writer": dict(self.torchrl.writer.state_dict()),
@@ -168,4 +169,4 @@ class StackedBuffer:
             self.torchrl.extend(stored.auto_batch_size_(1))
         self.torchrl.writer.load_state_dict(state["writer"])
         if self._steps is not None and state["waiting"] is not None:
-            self._steps._buffer = TensorDict(state["waiting"]).auto_batch_size_(2)
+            set_waiting_steps(self._steps, TensorDict(state["waiting"]).auto_batch_size_(2))

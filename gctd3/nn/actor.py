@@ -14,6 +14,7 @@ from gctd3.errors import ConfigError
 from gctd3.nn.encoder import GraphEncoder
 from gctd3.nn.network import Network
 from gctd3.nn.readout import JointReadout
+from gctd3.nn.stacking import stackable_network
 from gctd3.robots.graph import KinematicGraph
 from gctd3.tasks.reflection import Reflection
 
@@ -22,6 +23,7 @@ Scale = Literal["softplus", "exp"]
 LOG_SCALE = (-20.0, 2.0)  # between which the authors of SAC clip it
 
 
+@stackable_network
 class Actor(nn.Module):
     """Encoder, fully connected layers, and a linear readout (Figure 3).
 

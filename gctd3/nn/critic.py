@@ -12,6 +12,7 @@ from gctd3.nn.actor import ACTION, NODES
 from gctd3.nn.encoder import GraphEncoder
 from gctd3.nn.network import Network
 from gctd3.nn.readout import PooledReadout
+from gctd3.nn.stacking import stackable_network
 from gctd3.robots.graph import KinematicGraph
 from gctd3.tasks.reflection import Reflection
 
@@ -19,6 +20,7 @@ VALUE = "state_action_value"
 PRIVILEGED = "counters"
 
 
+@stackable_network
 class Critic(nn.Module):
     """Encoder, then the action (and what only the critic may see) beside its output, fully connected layers, a value.
 
@@ -55,7 +57,13 @@ class Critic(nn.Module):
         self.symmetry = network.symmetry(reflection, in_features, action_dim, per_action=0)
 
     def forward(self, nodes: Tensor, action: Tensor, *privileged: Tensor) -> Tensor:
-        """Value of ``action`` in the state ``nodes``; ``[E, B, 1]`` with parameters stacked to ``[E, ...]``."""
+        """Value of ``action`` in the state ``nodes``; ``[E, *, 1]`` with parameters stacked to ``[E, ...]``."""
+        batch, beside = nodes.shape[:-2], [action, *privileged]
+        if len(batch) != 1:
+            # As one dimension: to layers with stacked parameters another one before it is that of the stack.
+            rows = [x.expand(*batch, x.shape[-1]).reshape(-1, x.shape[-1]) for x in beside]
+            value = self(nodes.reshape(-1, *nodes.shape[-2:]), *rows)
+            return value.reshape(*value.shape[:-2], *batch, 1)
         if self.symmetry is None:
             return self._value(nodes, action, *privileged)
         return self.symmetry(self._value, nodes, action, *privileged)

@@ -12,11 +12,13 @@ from torch import Tensor, nn
 
 from gctd3.nn.graph_conv import ChebyshevConv, GraphConv, GraphLayer
 from gctd3.nn.layers import LayerNorm, Linear
+from gctd3.nn.stacking import stackable_layer
 from gctd3.robots.graph import KinematicGraph
 
 Mixing = Literal["local", "alternating"]
 
 
+@stackable_layer
 class GraphEncoder(nn.Module):
     r"""Graph convolutions with ReLU, then the nodes' features side by side (Figure 3, equation 14).
 
@@ -94,6 +96,7 @@ class GraphEncoder(nn.Module):
         return x
 
 
+@stackable_layer
 class FlatEncoder(nn.Module):
     """The nodes' features side by side and nothing else: what an MLP sees.
 

@@ -9,9 +9,11 @@ import torch
 from torch import Tensor, nn
 
 from gctd3.errors import ConfigError
+from gctd3.nn.stacking import stackable_layer
 from gctd3.tasks.reflection import Reflection, SignedPermutation
 
 
+@stackable_layer
 class Reflect(nn.Module):
     """A signed permutation of the last dimension, as a product with a fixed matrix.
 
@@ -31,6 +33,7 @@ class Reflect(nn.Module):
         return values @ (self.matrix if self.matrix.ndim == 2 else self.matrix[0])
 
 
+@stackable_layer
 class Symmetric(nn.Module):
     r"""Averages a function over a state and its mirror image: :math:`f(x) = (g(x) + M' g(M x)) / 2`.
 

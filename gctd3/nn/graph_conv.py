@@ -10,7 +10,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gctd3.nn.layers import stacked_linear
+from gctd3.nn.kernels import stacked_linear
+from gctd3.nn.stacking import stackable_layer
 
 
 class GraphLayer(nn.Module, ABC):
@@ -50,6 +51,8 @@ class GraphLayer(nn.Module, ABC):
     def forward(self, nodes: Tensor) -> Tensor:
         """Convolve ``nodes [*, N, F]``.
 
+        With parameters stacked to ``[E, ...]``, ``[B, N, F]`` and ``[E, B, N, F]`` give ``[E, B, N, F']``.
+
         Raises:
             ValueError: If the trailing dimensions are not ``[N, F]``.
         """
@@ -58,6 +61,8 @@ class GraphLayer(nn.Module, ABC):
             raise ValueError(
                 f"Expected node features of shape [*, {expected[0]}, {expected[1]}], got {list(nodes.shape)}."
             )
+        if self.weight.ndim == 3:
+            return self.node_first(nodes.transpose(-3, -2)).transpose(-3, -2)
         flat = nodes.reshape(-1, *expected).transpose(0, 1)
         return self.node_first(flat).transpose(-3, -2).reshape(*nodes.shape[:-1], self.out_features)
 
@@ -85,6 +90,7 @@ class GraphLayer(nn.Module, ABC):
         return f"{self.in_features}, {self.out_features}, nodes={nodes}, bias={self.bias is not None}"
 
 
+@stackable_layer
 class GraphConv(GraphLayer):
     r"""One graph convolution, :math:`Y = P X \Theta + b`, with a fixed propagation matrix :math:`P`.
 
@@ -122,6 +128,7 @@ class GraphConv(GraphLayer):
         return mixed.reshape(*mixed.shape[:-2], n * batch, features)
 
 
+@stackable_layer
 class ChebyshevConv(GraphLayer):
     r"""A convolution of order ``K``, :math:`Y = \sum_{k=0}^{K} T_k(\tilde\Delta) X \Theta_k + b`.
 

@@ -10,9 +10,11 @@ import torch
 from torch import Tensor, nn
 
 from gctd3.errors import ConfigError
+from gctd3.nn.stacking import stackable_layer
 from gctd3.robots.graph import KinematicGraph
 
 
+@stackable_layer
 class JointReadout(nn.Module):
     """One head for all actuated joints, which sees a joint's code and the mean of all nodes' codes.
 
@@ -44,6 +46,7 @@ class JointReadout(nn.Module):
         return out.unflatten(-2, joints.shape[-3:-1]).movedim(-3, -1).flatten(-2)
 
 
+@stackable_layer
 class PooledReadout(nn.Module):
     """The same layers at every node, on its code and its joint's action; their mean over the nodes; a value.
 

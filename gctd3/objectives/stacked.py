@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
-import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 from torchrl.objectives import SoftUpdate
+
+from gctd3 import compat
+from gctd3.errors import PerformanceWarning
+from gctd3.nn import kernels
+from gctd3.nn.kernels import lerp_all
+from gctd3.nn.stacking import obstacles
 
 
 class Networks:
@@ -23,7 +30,7 @@ class Networks:
         self._held: dict[str, TensorDictModule] = {}
 
     def get(self, name: str, network: TensorDictModule, params: Callable[[], TensorDictBase]) -> TensorDictModule:
-        """The copy of ``network`` that is known as ``name``, made with ``params()`` at first."""
+        """Return the copy of ``network`` that is known as ``name``, made with ``params()`` at first."""
         if name not in self._held:
             held, given = copy.deepcopy(network), params()
             given.to_module(held)
@@ -42,33 +49,85 @@ class Networks:
         return Networks()
 
 
-def output(network: TensorDictModuleBase, inputs: TensorDictBase, key: str, **replaced: Tensor) -> Tensor:
-    """What ``network`` writes as ``key``, without writing it.
+class StackedLoss(compat.LossHooks):
+    """Decide how a TorchRL loss evaluates its critics; stands before the loss among the bases of a class.
+
+    Attributes:
+        stacked: Whether the critics run as one module with parameters stacked to ``[E, ...]``. They do if every module
+            of every critic is declared to take such parameters (:mod:`gctd3.nn.stacking`); otherwise TorchRL's ``vmap``
+            evaluates them, which is slower, and a :class:`.PerformanceWarning` says so when the loss is made. So it does
+            where plain versions are asked for (:mod:`gctd3.nn.kernels`).
+    """
+
+    stacked = False
+    _copies: Networks
+
+    def decide(
+        self, critics: TensorDictModuleBase | Sequence[TensorDictModuleBase], actor: TensorDictModuleBase
+    ) -> None:
+        """Look at the networks, after TorchRL's constructor.
+
+        Args:
+            critics: The critics that the loss was made with, or the one that it made several of.
+            actor: The actor.
+        """
+        self._copies = Networks()
+        several = critics if isinstance(critics, (list, tuple)) else [critics]
+        # The name of the action may still be changed, by set_keys; an actor's only output is no other's.
+        action = self.tensor_keys.action if len(actor.out_keys) > 1 else actor.out_keys[0]  # type: ignore[attr-defined]
+        outside = tuple(key for key in actor.out_keys if key != action)
+        found = [obstacle for critic in several for obstacle in obstacles(critic, outside)]
+        self.stacked = not found and not kernels.plain()
+        if found:
+            warnings.warn(
+                f"{type(self).__name__} evaluates its critics by TorchRL's vmap, which is slower than one batched "
+                f"module: {found[0]} (gctd3.nn.stacking).",
+                PerformanceWarning,
+                stacklevel=3,
+            )
+
+    def parameters_move(self) -> None:
+        """Forget what holds the old ones."""
+        self._copies.clear()
+
+    def more_in_keys(self) -> list[Any]:
+        """Name what critics read of the next state besides what the actor reads."""
+        critic, action = self.qvalue_network, self.tensor_keys.action  # type: ignore[attr-defined]
+        return [("next", key) for key in critic.in_keys if key != action]
+
+
+def output(
+    network: TensorDictModuleBase, inputs: TensorDictBase, key: str, replaced: Mapping[Any, Tensor] | None = None
+) -> Tensor:
+    """Return what ``network`` writes as ``key``, without writing it.
 
     Args:
         network: Any; one that wraps a single plain module is called on tensors, which spares a TensorDict's overhead.
-        inputs: Holds ``network.in_keys``, batch size ``[B]``; left as it is.
+        inputs: Holds ``network.in_keys``, batch size ``[*]``; left as it is.
         key: Of the output.
-        **replaced: Inputs to take instead of the ones in ``inputs``.
+        replaced: Inputs to take instead of the ones in ``inputs``, by their keys.
     """
+    replaced = replaced or {}
     if type(network) is TensorDictModule and network.out_keys == [key]:
         given = [replaced[k] if k in replaced else inputs.get(k) for k in network.in_keys]
         return network.module(*given)
     return network(inputs.copy().update(replaced)).get(key)
 
 
-def values(critic: TensorDictModule, inputs: TensorDictBase, **replaced: Tensor) -> Tensor:
-    """Action values of one batch.
+def values(
+    critic: TensorDictModuleBase, inputs: TensorDictBase, replaced: Mapping[Any, Tensor] | None = None
+) -> Tensor:
+    """Return the action values of one batch.
 
     Args:
-        critic: One of :func:`gctd3.make_critic`, or any whose layers take stacked parameters.
-        inputs: Holds ``critic.in_keys``, batch size ``[B]``.
-        **replaced: Inputs to take instead of the ones in ``inputs``.
+        critic: One of :func:`gctd3.make_critic`, or any that is declared to take stacked parameters.
+        inputs: Holds ``critic.in_keys``, batch size ``[*]``.
+        replaced: Inputs to take instead of the ones in ``inputs``, by their keys.
 
     Returns:
-        ``[B]``, or ``[E, B]`` if the critic's parameters are stacked to ``[E, ...]``.
+        ``[*]``, or ``[E, *]`` if the critic's parameters are stacked to ``[E, ...]``.
     """
-    return output(critic, inputs, critic.out_keys[0], **replaced).squeeze(-1)
+    return output(critic, inputs, critic.out_keys[0], replaced).squeeze(-1)
 
 
 class FusedSoftUpdate(SoftUpdate):
@@ -77,12 +136,14 @@ class FusedSoftUpdate(SoftUpdate):
     Make it after the loss is on its device.
     """
 
+    _lists: tuple[list[Tensor], list[Tensor]] | None = None
+
     def step(self) -> None:
         """Move the targets towards the trained parameters."""
-        if "_lists" not in self.__dict__:
-            self.__dict__["_lists"] = (_leaves(self._targets), _leaves(self._sources))
-        targets, sources = self.__dict__["_lists"]
-        torch._foreach_lerp_(targets, sources, 1.0 - self.eps)
+        if self._lists is None:
+            targets, sources = compat.update_pairs(self)
+            self._lists = _leaves(targets), _leaves(sources)
+        lerp_all(*self._lists, 1.0 - self.eps)
 
 
 def _leaves(tensordict: TensorDictBase) -> list[Tensor]:

@@ -2,77 +2,133 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from torchrl.envs.utils import step_mdp
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
 from torchrl.objectives.utils import distance_loss
 
-from gctd3.objectives.stacked import Networks, output, values
+from gctd3.compat import priority_weight, reduce_loss, vmapped_critics
+from gctd3.nn.stacking import obstacles
+from gctd3.objectives.stacked import StackedLoss, output, values
+
+Found = tuple[Tensor, dict[str, Tensor]]
 
 
-class TD3Loss(TorchRLTD3Loss):
+class TD3Loss(StackedLoss, TorchRLTD3Loss):
     """:class:`torchrl.objectives.TD3Loss`, faster, and with critics that may read more than the actor does.
 
-    Same constructor and keys, same losses and gradients. Two differences: the critics' stacked parameters run as one
-    batched module (no ``vmap``; the actor's loss evaluates the one critic that it uses), and the critics' ``in_keys``
-    are taken from the whole batch, where TorchRL passes on only what the actor reads.
+    Same constructor and keys, same losses and gradients, for any networks and any batch size that TorchRL's takes. Two
+    differences: critics whose layers can be stacked (:mod:`gctd3.nn.stacking`) run as one batched module (no ``vmap``;
+    the actor's loss evaluates the one critic that it uses, so that ``state_action_value_actor`` is ``[*]`` instead of
+    ``[E, *]``), and the critics' ``in_keys`` are taken from the whole batch, where TorchRL passes on only what the
+    actor reads.
 
-    TorchRL sets exploration type and recurrent mode around every method that ends in ``loss``. For networks that know
-    neither, :meth:`of_actor` and :meth:`of_critics` give the same without.
+    TorchRL sets exploration type and recurrent mode around every method that ends in ``loss``. :meth:`of_actor` and
+    :meth:`of_critics` give the same without, for networks of gctd3's layers, which know neither.
+
+    Args:
+        actor_network: The deterministic actor.
+        qvalue_network: A list of critics, or one, of which TorchRL makes several and draws their parameters anew.
+        *args: As TorchRL's.
+        **kwargs: As TorchRL's.
     """
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - TorchRL's
-        super().__init__(*args, **kwargs)
-        self.__dict__["_networks"] = Networks()
+    def __init__(
+        self,
+        actor_network: TensorDictModuleBase,
+        qvalue_network: TensorDictModuleBase | Sequence[TensorDictModuleBase],
+        *args: Any,  # noqa: ANN401 - TorchRL's
+        **kwargs: Any,  # noqa: ANN401 - TorchRL's
+    ) -> None:
+        super().__init__(actor_network, qvalue_network, *args, **kwargs)
+        self.decide(qvalue_network, actor_network)
+        # Of an actor that is not known, a copy might differ: it may be set to train or evaluate, or hold a state.
+        self._known_actor = not obstacles(actor_network)
 
-    def _apply(self, *args: Any, **kwargs: Any) -> TD3Loss:  # noqa: ANN401 - PyTorch's
-        self._networks.clear()
-        return super()._apply(*args, **kwargs)
+    def actor_loss(self, tensordict: TensorDictBase) -> Found:
+        """Return TorchRL's, of a batch of size ``[*]``: the loss and what else was computed."""
+        return self._of_actor(tensordict)
 
-    def _set_in_keys(self) -> None:
-        super()._set_in_keys()
-        following = [("next", key) for key in self.qvalue_network.in_keys if key != self.tensor_keys.action]
-        self._in_keys: list[object] = list({*self._in_keys, *following})
+    def value_loss(self, tensordict: TensorDictBase) -> Found:
+        """Return TorchRL's, of a batch of size ``[*]``: the loss and what else was computed."""
+        return self._of_critics(tensordict)
 
-    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """As of TorchRL's, from a batch of size ``[B]``: the loss and what else it found."""
-        return self.of_actor(tensordict)
+    def of_actor(self, tensordict: TensorDictBase) -> Found:
+        """Return minus the first critic's value of the actor's action (equation below 11 of the paper)."""
+        fast = self.stacked and self._known_actor
+        return self._of_actor(tensordict) if fast else self.actor_loss(tensordict)
 
-    def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """As of TorchRL's, from a batch of size ``[B]``: the loss and what else it found."""
-        return self.of_critics(tensordict)
+    def of_critics(self, tensordict: TensorDictBase) -> Found:
+        """Return both critics' distance from the target of equation 9."""
+        fast = self.stacked and self._known_actor
+        return self._of_critics(tensordict) if fast else self.value_loss(tensordict)
 
-    def of_actor(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Minus the first critic's value of the actor's action (equation below 11 of the paper)."""
-        networks, key = self._networks, self.tensor_keys.action
-        actor = networks.get("actor", self.actor_network, lambda: self.actor_network_params)
-        critic = networks.get("first critic", self.qvalue_network, lambda: self.qvalue_network_params.data[0])
-        value = values(critic, tensordict, **{key: output(actor, tensordict, key)})
-        loss = self._reduce_loss(-value, tensordict=tensordict, weights=self._maybe_get_priority_weight(tensordict))
-        return loss, {"state_action_value_actor": value.detach()}
+    def _of_actor(self, tensordict: TensorDictBase) -> Found:
+        action, seen = self._act("actor", tensordict, lambda: self.actor_network_params)
+        if self.stacked:
+            critic = self._copies.get("first critic", self.qvalue_network, lambda: self.qvalue_network_params.data[0])
+            value = found = values(critic, seen, {self.tensor_keys.action: action})
+        else:
+            found = self._values("detached critics", seen, lambda: self.qvalue_network_params.data, action)
+            value = found[0]
+        weights = priority_weight(self, tensordict)
+        loss = reduce_loss(self, -value, tensordict, weights)
+        return loss, {"state_action_value_actor": found.detach()}
 
-    def of_critics(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Both critics' distance from the target of equation 9."""
-        networks, key = self._networks, self.tensor_keys.action
-        taken, following = tensordict.get(key), tensordict.get("next")
+    def _of_critics(self, tensordict: TensorDictBase) -> Found:
+        taken, following = tensordict.get(self.tensor_keys.action), self._following(tensordict)
         noise = (torch.randn_like(taken) * self.policy_noise).clamp(-self.noise_clip, self.noise_clip)
         with torch.no_grad():
-            actor = networks.get("target actor", self.actor_network, lambda: self.target_actor_network_params)
-            critics = networks.get("target critics", self.qvalue_network, lambda: self.target_qvalue_network_params)
-            action = (output(actor, following, key) + noise).clamp(self.min_action, self.max_action)
-            next_value = values(critics, following, **{key: action}).min(0)[0]
+            action, seen = self._act("target actor", following, lambda: self.target_actor_network_params)
+            action = (action + noise).clamp(self.min_action, self.max_action)
+            next_values = self._values("target critics", seen, lambda: self.target_qvalue_network_params, action)
+            next_value = next_values.min(0)[0]
             target = self.value_estimator.value_estimate(tensordict, next_value=next_value.unsqueeze(-1)).squeeze(-1)
 
-        critics = networks.get("critics", self.qvalue_network, lambda: self.qvalue_network_params)
-        value = values(critics, tensordict)
+        value = self._values("critics", tensordict, lambda: self.qvalue_network_params)
         loss = distance_loss(value, target.expand_as(value), loss_function=self.loss_function).sum(0)
-        loss = self._reduce_loss(loss, tensordict=tensordict, weights=self._maybe_get_priority_weight(tensordict))
+        loss = reduce_loss(self, loss, tensordict, priority_weight(self, tensordict))
         return loss, {
             "td_error": (value.detach() - target).pow(2),
             "next_state_value": next_value,
             "pred_value": value.detach(),
             "target_value": target,
         }
+
+    def _following(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The state after each transition; what does not change with it may stand beside ``"next"`` only."""
+        following = tensordict.get("next")
+        if self.stacked and self._known_actor:
+            needed = {*self.actor_network.in_keys, *self.qvalue_network.in_keys} - {self.tensor_keys.action}
+            if all(following.get(key, None) is not None for key in needed):
+                return following
+        return step_mdp(tensordict)
+
+    def _act(
+        self, name: str, inputs: TensorDictBase, params: Callable[[], TensorDictBase]
+    ) -> tuple[Tensor, TensorDictBase]:
+        """The actions in ``inputs``, and what critics see there: all of it, and what else the actor wrote."""
+        actor, action = self.actor_network, self.tensor_keys.action
+        if self.stacked and self._known_actor:
+            return output(self._copies.get(name, actor, params), inputs, action), inputs
+        with params().to_module(actor, preserve_module_state=False):
+            acted = actor(inputs.select(*actor.in_keys, strict=False))
+        return acted.get(action), inputs.select(*self.qvalue_network.in_keys, strict=False).update(acted)
+
+    def _values(
+        self, name: str, inputs: TensorDictBase, params: Callable[[], TensorDictBase], action: Tensor | None = None
+    ) -> Tensor:
+        """All critics' values ``[E, *]``, of ``action`` or of that in ``inputs``."""
+        critics, key = self.qvalue_network, self.tensor_keys.action
+        replaced = {} if action is None else {key: action}
+        if self.stacked:
+            return values(self._copies.get(name, critics, params), inputs, replaced)
+        seen = inputs.select(*critics.in_keys, strict=False).update(replaced)
+        found = vmapped_critics(self, seen.expand(self.num_qvalue_nets, *seen.batch_size), params())
+        return found.get(self.tensor_keys.state_action_value).squeeze(-1)

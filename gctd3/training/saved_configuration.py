@@ -14,6 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 import gctd3
+from gctd3.compat import stored_mapping
 from gctd3.config.build import build
 from gctd3.config.command_line import chooses, ships
 from gctd3.errors import ConfigError, RunError
@@ -178,9 +179,9 @@ def flat(config: DictConfig, prefix: str = "") -> dict[str, object]:
     """Values by their dotted path; lists count as values."""
     found: dict[str, object] = {}
     for key in map(str, config):
-        node = config._get_node(key)
-        if isinstance(node, DictConfig) and not node._is_none():
-            found |= flat(node, f"{prefix}{key}.")
+        mapping = stored_mapping(config, key)
+        if mapping is not None:
+            found |= flat(mapping, f"{prefix}{key}.")
         else:
             value = config[key]
             found[f"{prefix}{key}"] = OmegaConf.to_container(value) if OmegaConf.is_config(value) else value

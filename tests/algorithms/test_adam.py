@@ -86,3 +86,19 @@ def test_what_never_gets_a_gradient_stays(pair):
             optimizer.step()
     assert all(torch.equal(one, other) for one, other in zip(*sets, strict=True))
     assert torch.equal(sets[0][1], parameters()[1])
+
+
+@pytest.mark.parametrize(
+    "turns", [[(0,), (0, 1), (1,), (0, 1, 2, 3)], [(0, 1, 2), (0,), (0, 1, 2)], [(), (1,), (1, 3)]], ids=str
+)
+def test_gradients_that_come_and_go(pair, turns):
+    """Parameters that get a gradient late, or not always: PyTorch's steps with those that have one."""
+    optimizers, sets = pair
+    for turn in turns:
+        for optimizer, those in zip(optimizers, sets, strict=True):
+            for _ in range(2):
+                optimizer.zero_grad()
+                if turn:
+                    sum(those[i].square().sum() for i in turn).backward()
+                optimizer.step()
+    check_same(optimizers, sets)

@@ -16,7 +16,7 @@ import gctd3
 ROOT = Path(gctd3.__file__).parent
 # Rooms from the bottom up: a module imports from its own room and from those below it. At the top level stand the
 # foundations, which everything may use, and the commands, which nothing may.
-FOUNDATIONS = ("errors", "files", "signals")
+FOUNDATIONS = ("errors", "files", "signals", "compat")
 ROOMS = (
     "config",
     "robots",
@@ -172,6 +172,7 @@ def test_the_front_door_imports_nothing_until_it_is_used():
         ("gctd3.robots.robot", ("torch", "torchrl", "hydra", "dm_control")),
         ("gctd3.robots.graph", ("torch", "torchrl", "hydra", "dm_control")),
         ("gctd3.tasks.walk", ("torch", "torchrl", "hydra", "dm_control")),
+        ("gctd3.compat", ("torch", "torchrl", "hydra", "dm_control", "mujoco", "numpy")),
         ("gctd3.nn", ("hydra", "dm_control")),
         ("gctd3.algorithms.td3", ("hydra", "dm_control")),
         ("gctd3.evaluation.gait_metrics", ("torch", "torchrl", "hydra", "dm_control", "mujoco")),

@@ -1,0 +1,260 @@
+"""The only door to other libraries' private names.
+
+A private name may change with any release. Each function here has a plain name, says whose private name it uses and in
+which version that was last seen, and raises a :class:`CompatError` that names both once it is gone. Nothing heavy is
+imported: objects of other libraries come as arguments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from gctd3.errors import GCTD3Error
+
+TORCH, TENSORDICT, TORCHRL = "torch 2.13.0", "tensordict 0.14.3", "torchrl 0.14.1"
+OMEGACONF, HYDRA = "omegaconf 2.3.1", "hydra-core 1.3.8"
+
+
+class CompatError(GCTD3Error, RuntimeError):
+    """Another library no longer has a private name that gctd3 uses."""
+
+
+def read(owner: object, name: str, seen: str) -> Any:  # noqa: ANN401
+    """Read an attribute with a private name.
+
+    Args:
+        owner: Whose it is.
+        name: The private name.
+        seen: Library and version that have it.
+
+    Raises:
+        CompatError: If ``owner`` has no such attribute.
+    """
+    try:
+        return getattr(owner, name)
+    except AttributeError as error:
+        kind = owner if isinstance(owner, type) else type(owner)
+        raise CompatError(
+            f"{kind.__module__}.{kind.__qualname__} has no {name}, which gctd3 uses and which {seen} has; "
+            f"install that version, or mend gctd3/compat.py."
+        ) from error
+
+
+def _need_behind(cls: type, mixin: type, name: str, seen: str) -> None:
+    """Raise a :class:`CompatError` if what stands behind a mixin among the bases of a class lacks what it overrides."""
+    behind = cls.__mro__[cls.__mro__.index(mixin) + 1 :]
+    if behind != (object,) and not any(hasattr(base, name) for base in behind):
+        read(behind[0], name, seen)
+
+
+# PyTorch
+
+
+def has_hooks(module: Any) -> bool:  # noqa: ANN401 - a torch.nn.Module
+    """Tell whether functions are hooked into a module's forward or backward pass.
+
+    Private: ``_forward_hooks``, ``_forward_pre_hooks``, ``_backward_hooks``, ``_backward_pre_hooks`` of
+    ``torch.nn.Module`` (torch 2.13.0).
+    """
+    names = "_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks"
+    return any(read(module, name, TORCH) for name in names)
+
+
+# TorchRL's losses
+
+
+class LossHooks:
+    """Give a TorchRL loss hooks with plain names; stands before the loss among the bases of a class.
+
+    Private: ``_apply`` of ``torch.nn.Module`` (torch 2.13.0); ``_set_in_keys``, ``_in_keys`` and ``_make_vmap`` of
+    ``TD3Loss`` and ``SACLoss`` (torchrl 0.14.1).
+
+    Raises:
+        CompatError: If a class is made of a loss that lacks one of them: its hooks would never be called.
+    """
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:  # noqa: ANN401
+        super().__init_subclass__(**kwargs)
+        for name, seen in (("_apply", TORCH), ("_set_in_keys", TORCHRL), ("_make_vmap", TORCHRL)):
+            _need_behind(cls, LossHooks, name, seen)
+
+    def parameters_move(self) -> None:
+        """Prepare for the loss's tensors to be replaced, as ``to`` does."""
+
+    def more_in_keys(self) -> list[Any]:
+        """Name the keys that the loss reads besides TorchRL's."""
+        return []
+
+    def vmaps_made(self) -> None:
+        """React to TorchRL having made the functions that evaluate its networks."""
+
+    def _apply(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401
+        self.parameters_move()
+        return super()._apply(*args, **kwargs)  # type: ignore[misc]
+
+    def _set_in_keys(self) -> None:
+        super()._set_in_keys()  # type: ignore[misc]
+        self._in_keys = list({*self._in_keys, *self.more_in_keys()})  # type: ignore[has-type]
+
+    def _make_vmap(self) -> None:
+        super()._make_vmap()  # type: ignore[misc]
+        self.vmaps_made()
+
+
+def priority_weight(loss: Any, tensordict: Any) -> Any:  # noqa: ANN401
+    """Read the weights of prioritised replay from a batch, or ``None``.
+
+    Private: ``LossModule._maybe_get_priority_weight`` (torchrl 0.14.1).
+    """
+    return read(loss, "_maybe_get_priority_weight", TORCHRL)(tensordict)
+
+
+def reduce_loss(loss: Any, value: Any, tensordict: Any, weights: Any) -> Any:  # noqa: ANN401
+    """Reduce a loss ``[*]`` as the loss module's ``reduction``, masks and weights say.
+
+    Private: ``LossModule._reduce_loss`` (torchrl 0.14.1).
+    """
+    return read(loss, "_reduce_loss", TORCHRL)(value, tensordict=tensordict, weights=weights)
+
+
+def vmapped_critics(loss: Any, tensordict: Any, params: Any) -> Any:  # noqa: ANN401
+    """Evaluate all critics of a TD3 loss on a batch expanded to ``[E, *]``, with parameters stacked to ``[E, ...]``.
+
+    Private: ``TD3Loss._vmap_qvalue_network00`` (torchrl 0.14.1).
+    """
+    return read(loss, "_vmap_qvalue_network00", TORCHRL)(tensordict, params)
+
+
+def replace_sac_critics(loss: Any, function: Callable[..., Any]) -> None:  # noqa: ANN401
+    """Let a SAC loss evaluate its critics with ``function(tensordict [*], params [E, ...])``.
+
+    Private: ``SACLoss._vmap_qnetworkN0`` (torchrl 0.14.1).
+    """
+    read(loss, "_vmap_qnetworkN0", TORCHRL)
+    loss._vmap_qnetworkN0 = function
+
+
+def update_pairs(updater: Any) -> tuple[Any, Any]:  # noqa: ANN401
+    """Read the targets of a target updater and what they follow, two TensorDicts with the same order of keys.
+
+    Private: ``TargetNetUpdater._targets`` and ``._sources`` (torchrl 0.14.1).
+    """
+    return read(updater, "_targets", TORCHRL), read(updater, "_sources", TORCHRL)
+
+
+# TorchRL's replay and collectors
+
+
+def waiting_steps(transform: Any) -> Any:  # noqa: ANN401
+    """Read the steps that wait in an n-step transform for their future, or ``None``.
+
+    Private: ``MultiStepTransform._buffer`` (torchrl 0.14.1).
+    """
+    return read(transform, "_buffer", TORCHRL)
+
+
+def set_waiting_steps(transform: Any, steps: Any) -> None:  # noqa: ANN401
+    """Set what :func:`waiting_steps` gives."""
+    read(transform, "_buffer", TORCHRL)
+    transform._buffer = steps
+
+
+class AnswerHook:
+    """Give TorchRL's way to send weights a hook for the wait; stands before ``SharedMemWeightSyncScheme``.
+
+    Private: ``SharedMemWeightSyncScheme._wait_for_ack`` and ``._ack_queues`` (torchrl 0.14.1).
+
+    Raises:
+        CompatError: If a class is made of a scheme without the former: its hook would never be called.
+    """
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:  # noqa: ANN401
+        super().__init_subclass__(**kwargs)
+        _need_behind(cls, AnswerHook, "_wait_for_ack", TORCHRL)
+
+    def await_answer(self, answers: Any) -> None:  # noqa: ANN401
+        """Wait for one worker to say in the queue ``answers`` that it has the weights."""
+        raise NotImplementedError
+
+    def _wait_for_ack(self, worker_ids: int | list[int] | None = None, timeout: float | None = None) -> None:
+        (answers,) = read(self, "_ack_queues", TORCHRL).values()
+        self.await_answer(answers)
+
+
+# TorchRL's environments
+
+
+def wrapped_env(env: Any) -> Any:  # noqa: ANN401
+    """Read the other library's environment inside a TorchRL wrapper; ``None`` where there is none.
+
+    Private: ``_env`` of ``torchrl.envs.GymEnv`` and ``DMControlEnv`` (torchrl 0.14.1); of dm_control's wrappers of
+    environments and Gymnasium's the same.
+    """
+    return getattr(env, "_env", None)
+
+
+def replace_wrapped_env(env: Any, inner: Any) -> None:  # noqa: ANN401
+    """Put another environment into a TorchRL wrapper and read its specs anew.
+
+    Private: ``_env`` and ``_make_specs`` of ``torchrl.envs.GymEnv`` and ``DMControlEnv`` (torchrl 0.14.1).
+    """
+    read(env, "_env", TORCHRL)
+    env._env = inner
+    read(env, "_make_specs", TORCHRL)(inner)
+
+
+def step_outcome(env: Any, outcome: Any) -> tuple[Any, ...]:  # noqa: ANN401
+    """Read what another library's ``step`` returned: observation, reward, terminated, truncated, done, and so on.
+
+    Private: ``_output_transform`` of ``torchrl.envs.GymEnv`` and ``DMControlEnv`` (torchrl 0.14.1).
+    """
+    result: tuple[Any, ...] = read(env, "_output_transform", TORCHRL)(outcome)
+    return result
+
+
+def reset_outcome(env: Any, outcome: Any) -> tuple[Any, ...]:  # noqa: ANN401
+    """Read what another library's ``reset`` returned: observation, information.
+
+    Private: ``_reset_output_transform`` of ``torchrl.envs.GymEnv`` and ``DMControlEnv`` (torchrl 0.14.1).
+    """
+    result: tuple[Any, ...] = read(env, "_reset_output_transform", TORCHRL)(outcome)
+    return result
+
+
+def serial_envs(env: Any) -> Sequence[Any]:  # noqa: ANN401
+    """List the environments in a ``SerialEnv`` that has been started.
+
+    Private: ``torchrl.envs.SerialEnv._envs`` (torchrl 0.14.1).
+    """
+    envs: Sequence[Any] = read(env, "_envs", TORCHRL)
+    return envs
+
+
+def hide(module: Any, **values: object) -> None:  # noqa: ANN401 - a torch.nn.Module
+    """Set attributes of a module that may hold modules, without making them parts of it.
+
+    Their parameters and states are then none of the module's. The trick is ``module.__dict__`` (torch 2.13.0), past
+    ``torch.nn.Module.__setattr__``.
+    """
+    module.__dict__.update(values)
+
+
+# Hydra and OmegaConf
+
+
+def stored_mapping(config: Any, key: str) -> Any:  # noqa: ANN401 - a DictConfig
+    """Read the mapping under ``key`` without resolving it; ``None`` if something else, or a null, stands there.
+
+    Private: ``DictConfig._get_node`` and ``Node._is_none`` (omegaconf 2.3.1).
+    """
+    node = read(config, "_get_node", OMEGACONF)(key)
+    return node if isinstance(node, type(config)) and not read(node, "_is_none", OMEGACONF)() else None
+
+
+def own_launcher(settings: Mapping[str, Any]) -> bool:
+    """Tell whether a sweep's launcher is Hydra's own, which runs in this process, from its settings.
+
+    Private: the package ``hydra._internal``, where it lives (hydra-core 1.3.8).
+    """
+    return str(settings.get("_target_")).startswith("hydra._internal")

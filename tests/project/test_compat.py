@@ -1,0 +1,208 @@
+"""gctd3.compat: every private name is still there, means what it says, and is missed with a clear error once it is gone."""
+
+import queue
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.wrappers import RescaleAction
+from losses import CRITICS, data, make, td3_actor
+from omegaconf import OmegaConf
+from torch import nn
+from torchrl.data import ReplayBuffer
+from torchrl.envs import DMControlEnv, GymEnv, SerialEnv
+from torchrl.envs.transforms import MultiStepTransform
+from torchrl.objectives import SoftUpdate
+
+from gctd3 import compat, objectives
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::gctd3.errors.PerformanceWarning"),
+    pytest.mark.filterwarnings("ignore:No target network updater:UserWarning"),
+]
+
+
+@pytest.fixture
+def env():
+    with_limits = GymEnv("Hopper-v5")
+    yield with_limits
+    with_limits.close()
+
+
+def test_a_name_that_is_gone_is_named_with_the_version_that_had_it():
+    with pytest.raises(compat.CompatError, match=r"torch.nn.modules.linear.Linear has no _gone, .*torch 2\.13"):
+        compat.read(nn.Linear(1, 1), "_gone", compat.TORCH)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda thing: compat.has_hooks(thing),
+        lambda thing: compat.priority_weight(thing, None),
+        lambda thing: compat.reduce_loss(thing, None, None, None),
+        lambda thing: compat.vmapped_critics(thing, None, None),
+        lambda thing: compat.replace_sac_critics(thing, print),
+        lambda thing: compat.update_pairs(thing),
+        lambda thing: compat.waiting_steps(thing),
+        lambda thing: compat.set_waiting_steps(thing, None),
+        lambda thing: compat.replace_wrapped_env(thing, None),
+        lambda thing: compat.step_outcome(thing, None),
+        lambda thing: compat.reset_outcome(thing, None),
+        lambda thing: compat.serial_envs(thing),
+        lambda thing: compat.stored_mapping(thing, "key"),
+    ],
+)
+def test_every_function_says_so(call):
+    class Changed:
+        pass
+
+    with pytest.raises(compat.CompatError, match="Changed has no _"):
+        call(Changed())
+
+
+@pytest.mark.parametrize("mixin", [compat.LossHooks, compat.AnswerHook])
+def test_a_hook_that_would_never_be_called_is_refused(mixin):
+    class Changed:
+        pass
+
+    with pytest.raises(compat.CompatError, match="Changed has no _"):
+        type("Ours", (mixin, Changed), {})
+
+
+# PyTorch
+
+
+@pytest.mark.parametrize(
+    "register", ["register_forward_hook", "register_forward_pre_hook", "register_full_backward_hook"]
+)
+def test_has_hooks(register):
+    layer = nn.Linear(1, 1)
+    assert not compat.has_hooks(layer)
+    handle = getattr(layer, register)(lambda *_: None)
+    assert compat.has_hooks(layer)
+    handle.remove()
+    assert not compat.has_hooks(layer)
+
+
+def test_hide():
+    outer, inner = nn.Module(), nn.Linear(1, 1)
+    compat.hide(outer, inner=inner, number=3)
+    assert outer.inner is inner and outer.number == 3
+    assert not list(outer.parameters()) and not outer.state_dict()
+
+
+# TorchRL
+
+
+def test_losses_are_weighed_and_reduced():
+    loss, batch = make(objectives, "TD3Loss", td3_actor(), CRITICS["list"]()), data((4,))
+    assert compat.priority_weight(loss, batch) is None
+    batch["priority_weight"] = torch.tensor([1.0, 2.0, 3.0, 4.0])
+    weights = compat.priority_weight(loss, batch)
+    assert weights.tolist() == [1, 2, 3, 4]
+    # (1 * 10 + 2 * 10 + 3 * 10 + 4 * 20) / (1 + 2 + 3 + 4) = 14
+    values = torch.tensor([10.0, 10.0, 10.0, 20.0])
+    assert float(compat.reduce_loss(loss, values, batch, weights)) == pytest.approx(14.0)
+    assert float(compat.reduce_loss(loss, values, batch, None)) == pytest.approx(12.5)
+
+
+def test_critics_by_vmap_are_the_critics():
+    loss, batch = make(objectives, "TD3Loss", td3_actor(), CRITICS["list"]()), data((4,))
+    out = compat.vmapped_critics(loss, batch.expand(2, 4), loss.qvalue_network_params)["state_action_value"]
+    for k in range(2):
+        with loss.qvalue_network_params[k].to_module(loss.qvalue_network):
+            alone = loss.qvalue_network(batch.clone())["state_action_value"]
+        torch.testing.assert_close(out[k], alone)
+
+
+def test_update_pairs():
+    loss = make(objectives, "TD3Loss", td3_actor(), CRITICS["list"]())
+    targets, sources = compat.update_pairs(SoftUpdate(loss, tau=0.5))
+    names = [{name.replace("target_", "") for name in pairs.flatten_keys(".").keys()} for pairs in (targets, sources)]
+    assert names[0] == names[1] and len(names[0]) == 4  # weight and bias of the actor and of the critics
+
+
+def test_waiting_steps():
+    transform = MultiStepTransform(3, 0.9)
+    buffer = ReplayBuffer(transform=transform, batch_size=2)
+    assert compat.waiting_steps(transform) is None
+    steps = data((1, 5))
+    buffer.extend(steps)
+    assert compat.waiting_steps(transform).shape == (1, 2)  # the last two lack their future
+    compat.set_waiting_steps(transform, None)
+    assert compat.waiting_steps(transform) is None
+
+
+def test_await_answer():
+    heard = []
+
+    class Scheme:
+        def __init__(self):
+            self._ack_queues = {0: queue.Queue()}
+
+        def _wait_for_ack(self):
+            raise AssertionError("TorchRL's own wait")
+
+    class Ours(compat.AnswerHook, Scheme):
+        def await_answer(self, answers):
+            heard.append(answers)
+
+    ours = Ours()
+    ours._wait_for_ack()
+    assert heard == list(ours._ack_queues.values())
+
+
+# Environments
+
+
+def test_the_environment_inside(env):
+    inner = compat.wrapped_env(env)
+    assert inner.unwrapped.spec.id == "Hopper-v5"
+    assert compat.wrapped_env(nn.Identity()) is None
+    compat.replace_wrapped_env(env, RescaleAction(inner, np.float32(-0.5), np.float32(0.5)))
+    assert env.action_spec.space.high.max() == 0.5
+    assert compat.wrapped_env(env) is not inner
+
+
+@pytest.mark.parametrize("make_env", [lambda: GymEnv("Hopper-v5"), lambda: DMControlEnv("hopper", "stand")])
+def test_outcomes(make_env):
+    env = make_env()
+    inner = compat.wrapped_env(env)
+    observation, *_ = compat.reset_outcome(env, inner.reset())
+    action = np.zeros(env.action_spec.shape)
+    following, reward, terminated, truncated, *_ = compat.step_outcome(env, inner.step(action))
+    assert isinstance(float(reward), float)
+    assert not bool(terminated) and not bool(truncated)
+    for one in (observation, following):
+        parts = env.read_obs(one)
+        assert set(parts) == {str(key) for key in env.observation_spec.keys()}
+    env.close()
+
+
+def test_serial_envs():
+    several = SerialEnv(2, lambda: GymEnv("Hopper-v5"))
+    several.reset()
+    assert len(compat.serial_envs(several)) == 2
+    assert all(isinstance(one, GymEnv) for one in compat.serial_envs(several))
+    several.close()
+
+
+# Hydra and OmegaConf
+
+
+def test_stored_mapping():
+    config = OmegaConf.create({"a": {"b": 1}, "c": 3, "d": None, "e": [1], "f": "${a}", "g": "???"})
+    assert compat.stored_mapping(config, "a") == {"b": 1}
+    assert all(compat.stored_mapping(config, key) is None for key in "cdefg")
+    typed = OmegaConf.create({"x": OmegaConf.create({"y": 1})})
+    typed["x"] = None
+    assert compat.stored_mapping(typed, "x") is None
+
+
+def test_own_launcher():
+    from hydra._internal.core_plugins.basic_launcher import BasicLauncher
+
+    name = f"{BasicLauncher.__module__}.{BasicLauncher.__qualname__}"
+    assert compat.own_launcher({"_target_": name})
+    assert not compat.own_launcher({"_target_": "hydra_plugins.hydra_joblib_launcher.joblib_launcher.JoblibLauncher"})
+    assert not compat.own_launcher({})
