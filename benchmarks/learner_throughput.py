@@ -29,8 +29,9 @@ from torchrl.objectives import TD3Loss as StockTD3Loss
 
 import gctd3
 from gctd3.algorithms.base import Architecture, minimize
-from gctd3.algorithms.td3 import TD3Settings
-from gctd3.data.replay import Replay, ReplaySettings
+from gctd3.algorithms.settings import TD3Settings
+from gctd3.data.replay import Replay
+from gctd3.data.settings import ReplaySettings
 from gctd3.nn import Network
 
 HELD, UPDATES = 20_000, 20  # transitions in each buffer; updates timed at once

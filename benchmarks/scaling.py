@@ -23,8 +23,9 @@ from tensordict import TensorDict
 
 import gctd3
 from gctd3.algorithms.base import Architecture
-from gctd3.algorithms.td3 import TD3Settings
-from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.algorithms.settings import TD3Settings
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings
 from gctd3.nn import Network
 from gctd3.tasks.reward import Reward
 from gctd3.training.sweep import cores

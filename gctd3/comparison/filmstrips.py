@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 
 from gctd3.comparison.runs import Run
-from gctd3.envs.library import LibrarySettings
+from gctd3.envs.settings import LibrarySettings
 from gctd3.errors import GCTD3Error, RenderError
 from gctd3.robots.robot import Robot
 from gctd3.runs.load import load_policy

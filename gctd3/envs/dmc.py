@@ -13,7 +13,8 @@ from dm_env import specs
 from torchrl.envs import DMControlWrapper
 
 from gctd3.envs.mujoco_state import integration_state, load_integration_state
-from gctd3.envs.simulation import Start, substeps_of
+from gctd3.envs.settings import Start
+from gctd3.envs.simulation import substeps_of
 from gctd3.tasks.step_records import Measurement, Outcome, Progress, from_dict, to_dict
 from gctd3.tasks.walk import FEATURES, WalkingTask
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
 
 from torchrl.envs import (
     CatFrames,
@@ -16,54 +15,14 @@ from torchrl.envs import (
 )
 
 from gctd3.envs.check import CheckStep
-from gctd3.envs.library import MOST_FRAMES, MOST_ROBOTS, LibrarySettings, build_library_env
+from gctd3.envs.library import build_library_env
 from gctd3.envs.serial import SerialRobots
-from gctd3.envs.simulation import Simulation, Start
-from gctd3.errors import ConfigError, check_between
+from gctd3.envs.settings import Backend, EnvSettings, LibrarySettings
+from gctd3.envs.simulation import Simulation
+from gctd3.errors import ConfigError
 from gctd3.robots.robot import Robot
-from gctd3.tasks.reward import Endings, Reward
+from gctd3.tasks.reward import Reward
 from gctd3.tasks.walk import WalkingTask
-
-Backend = Literal["batched", "dm_control"]
-MOST_THREADS = 1024
-
-
-@dataclass(frozen=True)
-class EnvSettings:
-    """How the task is simulated and observed.
-
-    Attributes:
-        backend: ``batched`` steps all robots at once with MuJoCo; ``dm_control`` one after another with dm_control.
-        num_envs: Robots.
-        history: Frames stacked into an observation.
-        control_dt: Control period (s).
-        threads: Of the batched backend; all cores if ``None``.
-        check: Whether every step is checked by :class:`.CheckStep`.
-        start: Where episodes start.
-        endings: When they end.
-    """
-
-    backend: Backend = "batched"
-    num_envs: int = 64
-    history: int = 5
-    control_dt: float = 0.02
-    threads: int | None = None
-    check: bool = False
-    start: Start = field(default_factory=Start)
-    endings: Endings = field(default_factory=Endings)
-
-    def __post_init__(self) -> None:
-        check_between(self, 1, MOST_ROBOTS, "num_envs")
-        check_between(self, 1, MOST_FRAMES, "history")
-        if self.threads is not None and self.threads < 1:
-            raise ConfigError(f"threads must be at least 1, or null for all cores, got {self.threads}.")
-        check_between(self, 1, MOST_THREADS, "threads")
-        if not 0 < self.control_dt <= 1:
-            raise ConfigError(f"control_dt must be above 0 s and at most 1 s, got {self.control_dt}.")
-
-    def judging(self, episodes: int, threads: int | None = None) -> EnvSettings:
-        """The same task for one evaluation: a robot for each episode, all at once."""
-        return replace(self, backend="batched", num_envs=episodes, threads=threads)
 
 
 def build_env(robot: Robot, settings: EnvSettings | LibrarySettings, reward: Reward, seed: int) -> EnvBase:

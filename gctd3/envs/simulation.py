@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import mujoco.rollout
 import numpy as np
 
-from gctd3.errors import ConfigError, NumericalError, RobotError, check_between
+from gctd3.envs.settings import Start
+from gctd3.errors import ConfigError, NumericalError, RobotError
 from gctd3.robots.robot import Robot
 from gctd3.tasks.step_records import Measurement, Outcome, Progress, from_dict, put, take, to_dict
 from gctd3.tasks.walk import WalkingTask
@@ -18,23 +18,6 @@ from gctd3.tasks.walk import WalkingTask
 MOST_SUBSTEPS = 1000
 # Of the simulator's clock (s). Not 0: MuJoCo sets it to that when it starts a robot anew, which is how that is seen.
 BEGINNING = 1.0
-
-
-@dataclass(frozen=True)
-class Start:
-    """Where an episode starts: :attr:`.Robot.start_qpos`, each joint off by a uniform random amount.
-
-    Attributes:
-        angle_noise: Largest deviation of a joint's angle (rad).
-        velocity_noise: Largest deviation of a joint's velocity (rad/s).
-    """
-
-    angle_noise: float = 0.05
-    velocity_noise: float = 0.1
-
-    def __post_init__(self) -> None:
-        check_between(self, 0, 10, "angle_noise")
-        check_between(self, 0, 1000, "velocity_noise")
 
 
 class Simulation:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, cast, get_args
+from typing import cast, get_args
 
 import torch
 from tensordict.nn import NormalParamExtractor, TensorDictModule, TensorDictModuleBase
@@ -12,13 +12,13 @@ from torchrl.modules import ProbabilisticActor, TanhNormal
 
 from gctd3.errors import ConfigError
 from gctd3.nn.encoder import GraphEncoder
-from gctd3.nn.network import Network
+from gctd3.nn.network import make_encoder, make_head, make_joint_readout, make_symmetry
 from gctd3.nn.readout import JointReadout
+from gctd3.nn.settings import Network, Scale
 from gctd3.robots.graph import KinematicGraph
 from gctd3.tasks.reflection import Reflection
 
 NODES, ACTION = "nodes", "action"
-Scale = Literal["softplus", "exp"]
 LOG_SCALE = (-20.0, 2.0)  # between which the authors of SAC clip it
 
 
@@ -49,13 +49,13 @@ class Actor(nn.Module):
         reflection: Reflection | None = None,
     ) -> None:
         super().__init__()
-        self.encoder = network.encoder(graph, in_features)
+        self.encoder = make_encoder(network, graph, in_features)
         self.head: nn.Module
         if isinstance(self.encoder, GraphEncoder) and network.readout == "joint":
-            self.head = network.joint_readout(graph, self.encoder.width, action_dim, per_action)
+            self.head = make_joint_readout(network, graph, self.encoder.width, action_dim, per_action)
         else:
-            self.head = network.head(self.encoder.out_features, per_action * action_dim)
-        self.symmetry = network.symmetry(reflection, in_features, action_dim, per_action)
+            self.head = make_head(network, self.encoder.out_features, per_action * action_dim)
+        self.symmetry = make_symmetry(network, reflection, in_features, action_dim, per_action)
         self.squash = squash
 
     def forward(self, nodes: Tensor) -> Tensor:
@@ -92,7 +92,7 @@ def make_actor(
         graph: The robot's graph.
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
-        network: Sizes and kind; the paper's GCN by default.
+        network: Sizes and kind; GCN of :class:`.Network`'s defaults if ``None``.
         reflection: How the robot looks in the mirror, for an equivariant network.
 
     Returns:
@@ -123,7 +123,7 @@ def make_stochastic_actor(
         graph: The robot's graph.
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
-        network: Sizes and kind; the paper's GCN by default.
+        network: Sizes and kind; GCN of :class:`.Network`'s defaults if ``None``.
         reflection: How the robot looks in the mirror, for an equivariant network.
         scale: What makes the standard deviation of the network's second output ``x``: ``softplus`` as TorchRL has it,
             shifted so that 0 gives 1, and at least 0.01; ``exp`` of ``x`` clipped to :data:`LOG_SCALE`, as in the code

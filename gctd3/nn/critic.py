@@ -10,8 +10,9 @@ from torch import Tensor, nn
 
 from gctd3.nn.actor import ACTION, NODES
 from gctd3.nn.encoder import GraphEncoder
-from gctd3.nn.network import Network
+from gctd3.nn.network import make_encoder, make_head, make_pooled_readout, make_symmetry
 from gctd3.nn.readout import PooledReadout
+from gctd3.nn.settings import Network
 from gctd3.robots.graph import KinematicGraph
 from gctd3.tasks.reflection import Reflection
 
@@ -46,13 +47,13 @@ class Critic(nn.Module):
         reflection: Reflection | None = None,
     ) -> None:
         super().__init__()
-        self.encoder = network.encoder(graph, in_features)
+        self.encoder = make_encoder(network, graph, in_features)
         self.head: nn.Module
         if isinstance(self.encoder, GraphEncoder) and network.readout == "joint":
-            self.head = network.pooled_readout(graph, self.encoder.width, action_dim, privileged_dim)
+            self.head = make_pooled_readout(network, graph, self.encoder.width, action_dim, privileged_dim)
         else:
-            self.head = network.head(self.encoder.out_features + action_dim + privileged_dim, 1)
-        self.symmetry = network.symmetry(reflection, in_features, action_dim, per_action=0)
+            self.head = make_head(network, self.encoder.out_features + action_dim + privileged_dim, 1)
+        self.symmetry = make_symmetry(network, reflection, in_features, action_dim, per_action=0)
 
     def forward(self, nodes: Tensor, action: Tensor, *privileged: Tensor) -> Tensor:
         """Value of ``action`` in the state ``nodes``; ``[E, B, 1]`` with parameters stacked to ``[E, ...]``."""
@@ -83,7 +84,7 @@ def make_critic(
         graph: The robot's graph.
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
-        network: Sizes and kind; the paper's GCN by default.
+        network: Sizes and kind; GCN of :class:`.Network`'s defaults if ``None``.
         privileged_dim: Length of ``"counters"``, which the critic then reads too; 0 for none.
         reflection: How the robot looks in the mirror, for an equivariant network.
 

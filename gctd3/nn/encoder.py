@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Literal, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -12,9 +12,8 @@ from torch import Tensor, nn
 
 from gctd3.nn.graph_conv import ChebyshevConv, GraphConv, GraphLayer
 from gctd3.nn.layers import LayerNorm, Linear
+from gctd3.nn.settings import Mixing
 from gctd3.robots.graph import KinematicGraph
-
-Mixing = Literal["local", "alternating"]
 
 
 class GraphEncoder(nn.Module):

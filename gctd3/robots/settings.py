@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from gctd3.errors import check_seed
-from gctd3.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from gctd3.robots.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -37,4 +39,6 @@ class RobotSettings:
         Raises:
             RobotError: If it cannot be used.
         """
+        from gctd3.robots.robot import Robot
+
         return Robot.from_mjcf(self.name, self.feet if feet is None else feet, self.forward)

@@ -4,57 +4,27 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from omegaconf import DictConfig
 
-from gctd3.config.command_line import command
 from gctd3.envs.factory import build_env
-from gctd3.envs.library import LibrarySettings
-from gctd3.tasks.reward import Reward
-from gctd3.evaluation.episode import LAST_METRES, Episode
+from gctd3.envs.settings import LibrarySettings
 from gctd3.errors import RunError
-from gctd3.evaluation.rollout import Judging, evaluate
-from gctd3.files import new_file, write_text
+from gctd3.evaluation.episode import LAST_METRES, Episode
+from gctd3.evaluation.robustness import Examination
+from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize, why_missing
+from gctd3.files import new_file, write_text
 from gctd3.robots.robot import Robot
-from gctd3.evaluation.robustness import Examination, Perturbations
-from gctd3.evaluation.robustness import table as robustness_table
-from gctd3.config.build import build
+from gctd3.runs.settings import EvaluateSettings
 
 # Table 5 of the paper, column GCTD3. Its body position seems to count from the spawn height, 0.0235 m above standing.
 PAPER = {"return_mean": 380.0, "return_std": 18.47, "velocity_mean": 1.414, "body_position_mean": -0.0202}
 EVALUATION, TRACE = "evaluation.json", "trace.csv"
 ROBUSTNESS, ROBUSTNESS_PICTURE = "robustness.json", "robustness.png"
-
-
-@dataclass(frozen=True)
-class EvaluateSettings(Judging):
-    """What ``gctd3.evaluate`` is asked to do.
-
-    Attributes:
-        run: Directory of the run; the policy that ships with the library if ``None``.
-        reward: Under which to judge.
-        out: Directory to write to; the run's if ``None``, nowhere if there is no run either.
-        robustness: Whether to push, load and disturb the robot, too.
-        perturbations: By how much.
-    """
-
-    run: str | None
-    reward: Reward
-    out: str | None = None
-    robustness: bool = False
-    perturbations: Perturbations = field(default_factory=Perturbations)
-
-    @property
-    def folder(self) -> Path | None:
-        """Where to write."""
-        place = self.run if self.out is None else self.out
-        return Path(place) if place is not None else None
 
 
 def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
@@ -66,8 +36,8 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     Raises:
         RunError: If the directory is not a run, one of another version, or of a task that robustness is not for.
     """
-    from gctd3.training.checkpoint import versions
     from gctd3.runs.load import load_policy
+    from gctd3.training.checkpoint import versions
     from gctd3.training.saved_configuration import find_run, load_settings
 
     run, folder = find_run(settings.run), settings.folder
@@ -108,8 +78,8 @@ def examine_run(settings: EvaluateSettings, stride_time: float | None) -> dict[s
     Returns:
         What was written, see :meth:`.Examination.results`.
     """
-    from gctd3.training.checkpoint import versions
     from gctd3.runs.load import load_policy
+    from gctd3.training.checkpoint import versions
     from gctd3.training.saved_configuration import find_run, load_settings
 
     run, folder = find_run(settings.run), settings.folder

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from tensordict.nn import TensorDictModuleBase
 
-from gctd3.envs.factory import EnvSettings
-from gctd3.envs.library import LibrarySettings
+from gctd3.envs.settings import EnvSettings, LibrarySettings
 from gctd3.errors import RunError
 from gctd3.files import load_tree
 from gctd3.robots.robot import Robot

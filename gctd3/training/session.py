@@ -54,7 +54,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     settings = build(config, trusted=not resumed)
     settings.check_here()
     # Imported late, so that --help and a wrong setting are answered at once.
-    from gctd3.envs.factory import EnvSettings
+    from gctd3.envs.settings import EnvSettings
     from gctd3.training.run_log import refuse_a_run
     from gctd3.training.trainer import Trainer
     from gctd3.viz.film import check_film

@@ -4,28 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import torch
-
-from gctd3.algorithms.base import AlgorithmSettings, Architecture
-from gctd3.data.collector_settings import InlineSettings, ProcessSettings
-from gctd3.data.exploration import ExplorationSettings, Explorer
-from gctd3.data.mirror_augmentation import MirrorAugmentation
-from gctd3.data.replay import ReplaySettings
-from gctd3.envs.factory import MOST_THREADS, EnvSettings
-from gctd3.envs.library import MOST_ROBOTS, LibrarySettings
-from gctd3.envs.simulation import substeps_of
+from gctd3.algorithms.settings import AlgorithmSettings
+from gctd3.data.settings import ExplorationSettings, InlineSettings, ProcessSettings, ReplaySettings
+from gctd3.envs.settings import MOST_ROBOTS, MOST_THREADS, EnvSettings, LibrarySettings
 from gctd3.errors import ConfigError, check_between, check_seed
-from gctd3.nn import Network
-from gctd3.robots.graph import KinematicGraph
-from gctd3.robots.robot import Robot
+from gctd3.nn.settings import Network
 from gctd3.robots.settings import RobotSettings
-from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.reward import Reward
-from gctd3.tasks.walk import FEATURES, WalkingTask
 from gctd3.training.device import check_device, check_index
 from gctd3.training.stop_when import StopWhen
+
+if TYPE_CHECKING:
+    import torch
+
+    from gctd3.algorithms.base import Architecture
+    from gctd3.robots.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -189,6 +184,11 @@ class TrainSettings:
             RobotError: If it cannot be used.
             ConfigError: If a setting does not fit it.
         """
+        from gctd3.data.exploration import Explorer
+        from gctd3.data.mirror_augmentation import MirrorAugmentation
+        from gctd3.envs.simulation import substeps_of
+        from gctd3.tasks.walk import WalkingTask
+
         check_index(self.device)
         self.collector.check_here(self.env.num_envs)
         robot, env, exploration = self.load_robot(), self.env, self.exploration
@@ -216,6 +216,11 @@ class TrainSettings:
 
     def architecture(self, device: torch.device | str = "cpu") -> Architecture:
         """What the networks are built from, to lie on ``device``."""
+        from gctd3.algorithms.base import Architecture
+        from gctd3.robots.graph import KinematicGraph
+        from gctd3.tasks.reflection import Reflection
+        from gctd3.tasks.walk import FEATURES, WalkingTask
+
         robot = self.load_robot()
         privileged = 0
         if self.algo.privileged_critic and isinstance(self.env, EnvSettings):

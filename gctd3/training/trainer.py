@@ -23,7 +23,8 @@ from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.data.replay import Replay
-from gctd3.envs.factory import EnvRecipe, EnvSettings, build_env
+from gctd3.envs.factory import EnvRecipe, build_env
+from gctd3.envs.settings import EnvSettings
 from gctd3.errors import NumericalError, WorkerError
 from gctd3.evaluation.rollout import evaluate
 from gctd3.files import new_directory, save_tree, write_manifest

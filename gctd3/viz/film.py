@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from tensordict.nn import TensorDictModuleBase
 
-from gctd3.envs.factory import EnvSettings
+from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError, RenderError
 from gctd3.files import new_file
 from gctd3.robots.geometry import lowest_point

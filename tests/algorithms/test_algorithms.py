@@ -10,9 +10,7 @@ from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.algorithms.base import Architecture, minimize
-from gctd3.algorithms.ddpg import DDPGSettings
-from gctd3.algorithms.sac import SACSettings
-from gctd3.algorithms.td3 import TD3Settings
+from gctd3.algorithms.settings import DDPGSettings, SACSettings, TD3Settings
 from gctd3.files import load_tree, save_tree
 from gctd3.nn import Network, make_actor, make_critic
 from gctd3.robots.graph import KinematicGraph

@@ -10,11 +10,11 @@ import yaml
 from configs import composed, items
 from hydra.utils import get_object
 
-from gctd3.algorithms.base import AlgorithmSettings
+from gctd3.algorithms.settings import AlgorithmSettings
 from gctd3.config.build import build
-from gctd3.envs.simulation import Start
-from gctd3.evaluation.robustness import Perturbations
-from gctd3.runs.judge import EvaluateSettings
+from gctd3.envs.settings import Start
+from gctd3.evaluation.settings import Perturbations
+from gctd3.runs.settings import EvaluateSettings
 from gctd3.tasks.reward import Endings, Reward
 from gctd3.training.settings import TrainSettings
 

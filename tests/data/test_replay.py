@@ -10,10 +10,12 @@ from robots import opposite_axes
 from tensordict import TensorDict
 from torchrl.collectors import Collector
 
-from gctd3.data.exploration import ExplorationSettings, Explorer
+from gctd3.data.exploration import Explorer
 from gctd3.data.mirror_augmentation import MirrorAugmentation
-from gctd3.data.replay import ENDS, KEPT, Replay, ReplaySettings
-from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.data.replay import ENDS, KEPT, Replay
+from gctd3.data.settings import ExplorationSettings, ReplaySettings
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings
 from gctd3.envs.simulation import Simulation
 from gctd3.errors import ConfigError
 from gctd3.nn import make_actor
