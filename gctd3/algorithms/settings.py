@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class AlgorithmSettings(ABC):
-    """Hyperparameters that all algorithms share.
+    """Set the hyperparameters that all algorithms share.
 
     Attributes:
-        learning_rate: Of Adam, for every network.
-        tau: Share of the trained parameters that enters the averaged ones at each target update.
-        gamma: Discount factor.
-        average_policy: Whether evaluations use the averaged actor rather than the trained one.
-        compile: Whether ``torch.compile`` compiles the losses, with CUDA graphs on a GPU.
-        privileged_critic: Whether the critics also see how near each time-based ending is.
+        learning_rate: Learning rate of Adam, for every network (Table 4).
+        tau: Share of the trained parameters that enters the averaged ones at each target update; the paper's is 0.001.
+        gamma: Discount factor (Table 4).
+        average_policy: Evaluate the averaged actor, which is steadier than the trained one.
+        privileged_critic: Let the critics see how near each time-based ending is; the policy never does.
+        compile: Compile the losses with torch.compile, into CUDA graphs on a GPU; on a CPU it costs more than it saves.
     """
 
     learning_rate: float = 3e-4
@@ -48,12 +48,12 @@ class AlgorithmSettings(ABC):
 
 @dataclass(frozen=True)
 class TD3Settings(AlgorithmSettings):
-    """Hyperparameters of TD3.
+    """Set the hyperparameters of TD3.
 
     Attributes:
-        policy_delay: Critic updates for each update of the actor and the targets.
-        policy_noise: Standard deviation of the noise on the target's actions, which are in [-1, 1].
-        noise_clip: Largest size of that noise.
+        policy_delay: Critic updates for each update of the actor and the targets (Table 4).
+        policy_noise: Standard deviation of the noise on the target's actions (half a joint's range).
+        noise_clip: Largest size of that noise (half a joint's range).
     """
 
     policy_delay: int = 2
@@ -78,7 +78,7 @@ class TD3Settings(AlgorithmSettings):
 
 @dataclass(frozen=True)
 class DDPGSettings(AlgorithmSettings):
-    """Hyperparameters of DDPG: those that all algorithms share."""
+    """Set the hyperparameters of DDPG: those that all algorithms share."""
 
     def build(self, architecture: Architecture) -> Algorithm:
         """The algorithm, with fresh networks."""
@@ -89,12 +89,12 @@ class DDPGSettings(AlgorithmSettings):
 
 @dataclass(frozen=True)
 class SACSettings(AlgorithmSettings):
-    """Hyperparameters of SAC.
+    """Set the hyperparameters of SAC.
 
     Attributes:
         alpha: Initial temperature.
-        scale: What makes the policy's standard deviation of a number without bounds: ``exp``, as in the authors' code,
-            or ``softplus``, as in TorchRL.
+        scale: Function that makes a standard deviation of the policy's output: ``exp``, as in the code of SAC's
+            authors, or ``softplus``, as in TorchRL.
     """
 
     alpha: float = 0.2

@@ -9,12 +9,15 @@ from gctd3.evaluation.settings import Judging
 
 @dataclass(frozen=True)
 class ReportSettings(Judging):
-    """What ``gctd3.report`` is asked to do; the judging is that of runs that have no evaluation.
+    """Set what ``gctd3.report`` compares.
 
     Attributes:
-        runs: Directory below which the runs are.
+        episodes: Episodes of the evaluation of runs that have no evaluation.json; as many as in those that there are.
+        seed: Seed of their starts, likewise.
+        runs: Directory below which the runs are: a sweep of gctd3.train -m, or any folder of runs.
         out: Directory to write to: empty, not there yet, or that of an earlier report, which is replaced.
-        keep_runs: Whether to copy there, as ``runs``, what the numbers were made of.
+        keep_runs: Also keep there, as runs, what the numbers were made of (some 10 kB a run): runs=OUT/runs makes the
+            same report.
     """
 
     runs: str

@@ -9,7 +9,6 @@ import re
 import sys
 import warnings
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 from typing import NoReturn
 
@@ -22,7 +21,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from gctd3.config.help import CONF, asks_for_help, check_installed, command_of, fail, help_of
+from gctd3.config.help import CONF, asks_for_help, check_installed, command_of, conf, fail, help_of
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
 
 INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
@@ -180,13 +179,13 @@ def explain(error: Exception, config: str) -> str:
 def chooses(argument: str) -> str | None:
     """The group of which an argument chooses an option, if it is about one; other arguments add no keys."""
     group = re.split("[=@]", argument.lstrip("+~"), maxsplit=1)[0]
-    return group if group.isidentifier() and resources.files(CONF).joinpath(group).is_dir() else None
+    return group if group.isidentifier() and conf().joinpath(group).is_dir() else None
 
 
 def ships(argument: str) -> bool:
     """Whether the option that an argument chooses of a group comes with gctd3."""
     group, option = chooses(argument), argument.partition("=")[2]
-    return group is not None and resources.files(CONF).joinpath(group, f"{option}.yaml").is_file()
+    return group is not None and conf().joinpath(group, f"{option}.yaml").is_file()
 
 
 def _known_keys(config: str, arguments: list[str]) -> list[str]:

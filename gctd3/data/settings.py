@@ -16,19 +16,21 @@ MOST_WORKERS = 10_000
 
 @dataclass(frozen=True)
 class ExplorationSettings:
-    """Warm-up and noise.
+    """Set the warm-up and the noise.
 
     Attributes:
-        warmup: ``rhythmic``: see :class:`Rhythm`; ``uniform``: uniform actions, each held for a while.
-        warmup_frames: Frames (all robots together) before the policy acts.
-        hold: Control steps for which ``uniform`` holds an action.
-        frequency: Lowest and highest frequency of ``rhythmic`` (Hz).
-        heirs: Share of ``rhythmic``'s gaits that descend from those that got farthest before; the rest are drawn anew.
-        noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions, spread
-            geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for a policy that
-            is random by itself.
-        noise_time: Correlation time (s) of the noise of every second robot, an Ornstein-Uhlenbeck process (Lillicrap et
-            al. 2016, arXiv:1509.02971) of the same standard deviation; 0 for white noise as on the others.
+        warmup: ``rhythmic``: a sine for every joint, left and right half a period apart (:class:`.Rhythm`);
+            ``uniform``: random actions, each held for a while.
+        warmup_frames: Frames of all robots together before the policy acts.
+        hold: Control steps for which warmup=uniform holds an action.
+        frequency: Lowest and highest frequency of warmup=rhythmic (Hz).
+        heirs: Share of warmup=rhythmic's gaits that are mutations of those that got farthest before; the rest are drawn
+            anew.
+        noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions (half a joint's
+            range), spread geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for
+            a policy that is random by itself.
+        noise_time: Correlation time of the noise of every second robot (s), an Ornstein-Uhlenbeck process
+            (arXiv:1509.02971) of the same standard deviation; 0 for white noise, as on the others.
     """
 
     warmup: Literal["rhythmic", "uniform"] = "rhythmic"
@@ -57,15 +59,15 @@ class ExplorationSettings:
 
 @dataclass(frozen=True)
 class ReplaySettings:
-    """What is remembered and how it is drawn.
+    """Set what is remembered and how it is drawn.
 
     Attributes:
         capacity: Transitions kept; the oldest leave first.
         batch_size: Transitions drawn for an update.
         n_step: Rewards summed before the bootstrap (Sutton 1988).
-        mirror: Whether half of every batch is reflected in the robot's sagittal plane.
-        storage: ``frames`` stores every frame once and stacks at sampling, as :class:`.FrameBuffer` does;
-            ``stacked`` stores the stacks as they came, in TorchRL's buffer, at six times the memory.
+        mirror: Reflect half of every batch in the robot's sagittal plane.
+        storage: ``frames``: every frame once, stacked when drawn (:class:`.FrameBuffer`); ``stacked``: the stacks, in
+            TorchRL's buffer, at six times the memory.
     """
 
     capacity: int = 1_000_000
@@ -84,7 +86,7 @@ class ReplaySettings:
 
 @dataclass(frozen=True)
 class InlineSettings:
-    """Collecting and learning take turns, in one process.
+    """Collect and learn in turns, in one process; nothing to set.
 
     Attributes:
         chunk: Of every batch of steps, how many are collected at once.
@@ -98,15 +100,16 @@ class InlineSettings:
 
 @dataclass(frozen=True)
 class ProcessSettings:
-    """Collecting beside learning: processes that step their share of the robots while the learner learns.
+    """Set the processes on this machine that step their share of the robots while the learner learns.
 
     Attributes:
-        workers: Processes, among which the robots are divided.
-        cpus: Threads of each, for its simulation and its policy.
-        chunk: As many times ``steps`` are collected between two messages, and as many times ``updates`` follow.
-        patience: Time (s) after which a worker that delivers nothing counts as hung.
-        start_within: Time (s) that a worker may take to start.
-        failures: Failures of a worker in a row, without a batch in between, that are borne; at one more the run ends.
+        workers: Processes, among which env.num_envs robots are divided.
+        cpus: Threads of each, for its simulation and its policy; env.threads does not count.
+        chunk: Control steps between two messages, as a multiple of steps; updates are multiplied as well.
+        patience: Time after which a worker that delivers nothing counts as hung, and is replaced (s).
+        start_within: Time that a worker may take to start (s).
+        failures: Failures of a worker in a row, without a batch in between, that are borne; at one more the run ends
+            with a checkpoint.
     """
 
     workers: int = 2
@@ -141,13 +144,17 @@ class ProcessSettings:
 
 @dataclass(frozen=True)
 class RaySettings(ProcessSettings):
-    """Workers on a Ray cluster.
+    """Set the workers on a Ray cluster that step the robots while the learner learns.
 
     Attributes:
-        address: ``host:port`` of the cluster's head node, or ``auto`` for the cluster that runs on this machine;
-            ``None`` starts one on this machine that ends with the training.
+        workers: Workers, among which env.num_envs robots are divided.
+        cpus: CPUs that each takes of the cluster, for its simulation and its policy; env.threads does not count.
+        start_within: Time that a worker may take to start, waiting for free CPUs included (s).
+        address: ``host:port`` of the cluster's head node; ``auto``: the cluster that runs here; ``None``: one starts
+            here and ends with the run.
     """
 
+    chunk: int = 8
     address: str | None = None
 
     def __post_init__(self) -> None:

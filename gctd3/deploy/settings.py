@@ -13,16 +13,18 @@ NEEDED = ("onnx", "onnxscript", "onnxruntime")
 
 @dataclass(frozen=True)
 class ExportSettings:
-    """What ``gctd3.export`` is asked to do.
+    """Set what ``gctd3.export`` exports.
 
     Attributes:
-        run: Directory of the run; the policy that ships with the library if ``None``.
-        out: ``.onnx`` for an ONNX file with its contract beside it, ``.pt2`` for ``torch.export``'s with it inside.
-        max_rate: Largest rate at which a desired angle may change (rad/s); ``None`` for 1.2 times what the policy asks
-            of each servo in simulation.
-        episodes: Of that simulation.
-        seed: Of their starts.
-        threads: That simulate; all cores if ``None``.
+        run: Directory of the run; ``None`` for the walking biped that ships with gctd3.
+        out: File to write. ``.onnx``: an ONNX file, and its contract as .json beside it; ``.pt2``: a file of
+            torch.export with the contract inside.
+        max_rate: Largest rate at which a desired joint angle may change on the robot (rad/s); ``None`` for 1.2 times
+            the largest change in a control step that the policy asks of each servo in simulation.
+        episodes: Episodes of that simulation, which also visits the states on which the export is compared with
+            PyTorch.
+        seed: Seed of their starts.
+        threads: CPU threads that simulate; ``None`` for all cores. Results do not depend on it.
     """
 
     run: str | None = None

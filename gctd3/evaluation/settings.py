@@ -10,12 +10,12 @@ from gctd3.errors import ConfigError, check_between, check_seed
 
 @dataclass(frozen=True, kw_only=True)
 class Judging:
-    """How many episodes are judged, and from where; what the settings of all commands that judge have in common.
+    """Set how many episodes are judged, and from where, for all commands that judge.
 
     Attributes:
-        episodes: How many, each from its own start.
-        seed: Of the starts.
-        threads: That simulate; all cores if ``None``.
+        episodes: Episodes, each from its own start.
+        seed: Seed of the starts.
+        threads: CPU threads that simulate; ``None`` for all cores. Results do not depend on it.
     """
 
     episodes: int = 50
@@ -30,21 +30,21 @@ class Judging:
 
 @dataclass(frozen=True)
 class Perturbations:
-    """How much of what is tried.
+    """Set what a policy is tried with, each by itself; the rest is as it was in training.
 
     Attributes:
-        impulses: Of the shoves, rising (N s).
+        impulses: Shoves of the body along its way and against it, rising (N s): the blow of a moment.
         phases: Parts of the stride, at the beginning of each of which robots are shoved.
         starts: Shoves of each impulse, phase and direction, each in an episode of its own.
         settle: Distance after which a robot is shoved (m).
-        recover: Time that it has to go on after that (s).
-        masses: Factors of all the robot's masses.
-        frictions: Factors of all friction.
-        delays: By which actions come late (control steps).
+        recover: Time that it has to go on without an ending after the shove (s).
+        masses: Factors of all the robot's masses and inertias.
+        frictions: Factors of all friction, the ground's too.
+        delays: Delays of the actions (control steps).
         angle_noise: Standard deviation of the errors of angles (rad).
-        velocity_noise: Of angular velocities (rad/s).
-        height_noise: Of the body's height (m).
-        speed_noise: Of the body's velocity (m/s).
+        velocity_noise: Standard deviation of the errors of angular velocities (rad/s).
+        height_noise: Standard deviation of the errors of the body's height (m).
+        speed_noise: Standard deviation of the errors of the body's velocity (m/s).
     """
 
     impulses: Sequence[float] = (4.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 40.0)

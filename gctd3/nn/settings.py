@@ -16,21 +16,26 @@ Scale = Literal["softplus", "exp"]
 
 @dataclass(frozen=True)
 class Network:
-    """An encoder of the nodes and the fully connected layers after it; the defaults are Table 4's.
+    """Set the kind and the sizes of a network: an encoder of the nodes, and fully connected layers after it.
+
+    Sizes are Table 4's; layer normalisation is not the paper's.
 
     Attributes:
-        graph_layers: Features after each graph convolution; none for an MLP on the same input.
+        graph_layers: Features after each graph convolution; ``[]`` for an MLP on the same input.
         hidden: Units of each fully connected layer.
-        norm: ``"layer"`` for layer normalisation (arXiv:1607.06450) before each fully connected ReLU, or ``"none"``.
-        graph_norm: The same between graph convolution and ReLU.
-        residual: Whether to add each graph layer's input to its output (arXiv:1512.03385).
-        chebyshev: Order of Chebyshev layers (the paper's equation 5, arXiv:1606.09375) in place of the paper's
-            first-order ones; ``None`` for those.
-        mixing: ``"alternating"``: every second graph layer mixes all nodes with all (arXiv:2408.06316); ``"local"``:
-            none does.
-        readout: ``"flat"``: the nodes side by side (Figure 3); ``"joint"``: one head for all joints
-            (:class:`.JointReadout`) and a pool for critics (:class:`.PooledReadout`), whose weights fit every robot.
-        equivariant: Whether left and right are treated alike, exactly (:class:`.Symmetric`).
+        norm: Layer before each fully connected ReLU: ``layer`` (normalisation, arXiv:1607.06450) or ``none`` (the
+            paper).
+        graph_norm: Layer between each graph convolution and its ReLU: ``layer`` (normalisation) or ``none`` (the
+            paper).
+        residual: Add each graph layer's input to its output (arXiv:1512.03385).
+        chebyshev: Order K of Chebyshev layers (the paper's equation 5, arXiv:1606.09375); ``None`` for the paper's
+            layers of equation 7.
+        mixing: ``alternating``: every second graph layer mixes all nodes with all (arXiv:2408.06316), with
+            residual=true; ``local``: none does.
+        readout: ``flat``: the nodes side by side (Figure 3); ``joint``: one head for all joints
+            (:class:`.JointReadout`), and a pool for critics (:class:`.PooledReadout`), whose weights fit every robot.
+        equivariant: Treat left and right alike, exactly, by averaging over the robot and its mirror image
+            (arXiv:2110.03336).
     """
 
     graph_layers: Sequence[int] = (32, 32, 16)

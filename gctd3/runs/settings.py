@@ -14,14 +14,15 @@ MOST_PIXELS = 16_384  # of a frame's side
 
 @dataclass(frozen=True)
 class EvaluateSettings(Judging):
-    """What ``gctd3.evaluate`` is asked to do.
+    """Set what ``gctd3.evaluate`` judges.
 
     Attributes:
-        run: Directory of the run; the policy that ships with the library if ``None``.
-        reward: Under which to judge.
-        out: Directory to write to; the run's if ``None``, nowhere if there is no run either.
-        robustness: Whether to push, load and disturb the robot, too.
-        perturbations: By how much.
+        run: Directory of the run; ``None`` for the walking biped that ships with gctd3.
+        reward: Reward under which to judge.
+        out: Directory for evaluation.json and trace.csv; ``None`` for the run's, and nothing is written if no run is
+            given.
+        robustness: Try what the policy stands, too: shoves, other masses and floors, late actions, noise.
+        perturbations: How much of each.
     """
 
     run: str | None = None
@@ -39,21 +40,22 @@ class EvaluateSettings(Judging):
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """What ``gctd3.render`` is asked to do.
+    """Set what ``gctd3.render`` draws.
 
     Attributes:
-        run: Directory of the run; the policy that ships with the library if ``None``.
-        out: ``.png`` for a sheet of frames, ``.gif`` or ``.mp4`` for an animation.
-        seed: Of the start.
-        camera: Of the MJCF, or ``side`` or ``three_quarter``.
-        width: Of a frame (pixels).
-        height: Of a frame (pixels).
-        columns: Of the sheet.
-        rows: Of the sheet.
+        run: Directory of the run; ``None`` for the walking biped that ships with gctd3.
+        out: File to write. ``.png``: a sheet of frames; ``.gif``: an animation; ``.mp4``: a video, with pip install
+            'gctd3[video]'.
+        seed: Seed of the start.
+        camera: ``side`` or ``three_quarter``, or a camera of the robot's MJCF.
+        width: Width of a frame (pixels).
+        height: Height of a frame (pixels).
+        columns: Columns of the sheet.
+        rows: Rows of the sheet.
         every: Control steps between the sheet's frames.
-        begin: Distance at which the sheet begins (m), past the start.
-        speed: Of the animation, as a multiple of real time.
-        seconds: Of the walk that the animation shows, from the start; ``None`` for all of it.
+        begin: Distance past the start at which the sheet begins (m).
+        speed: Speed of the animation, as a multiple of real time.
+        seconds: Time of the walk that the animation shows, from the start (s); ``None`` for all of it.
     """
 
     run: str | None = None
@@ -85,16 +87,17 @@ class RenderSettings:
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """What ``gctd3.view`` is asked to show.
+    """Set what ``gctd3.view`` shows.
 
     Attributes:
-        run: Directory of the run; the policy that ships with the library if ``None``.
-        runs: Directory below which there are more to choose from in the browser.
-        seed: Of the first start.
-        endless: Whether only a fall ends the walk; otherwise the task's own endings do.
-        host: Address to listen at.
-        port: To listen at; 0 for any that is free.
-        browser: Whether to open the page in a browser of this machine.
+        run: Directory of the run; ``None`` for the walking biped that ships with gctd3.
+        runs: Directory below which there are more runs to choose from, in the browser.
+        seed: Seed of the first start; each further one has the next.
+        endless: ``True``: only a fall ends the walk; ``False``: the finish, the time limit and the paper's endings do
+            too.
+        host: Address to listen at; 0.0.0.0 for every machine that can reach this one: whoever can see it can steer it.
+        port: Port to listen at; 0 for any that is free.
+        browser: Open the page in a browser here, where there is a screen.
     """
 
     run: str | None = None

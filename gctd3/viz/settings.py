@@ -12,13 +12,14 @@ from gctd3.robots.settings import RobotSettings
 
 @dataclass(frozen=True)
 class GraphSettings:
-    """What ``gctd3.graph`` is asked to draw.
+    """Set what ``gctd3.graph`` draws.
 
     Attributes:
-        robot: Which robot and preset.
-        feet: In place of the robot's own, if not ``None``.
-        out: ``.svg`` or ``.png``; ``None`` for the table alone.
-        size: Of the robot's picture, its longer side (pixels).
+        robot: Robot and preset.
+        feet: Bodies (or geoms of theirs) that may touch the ground, as [a,b]; ``None`` for the robot's own, or those
+            that it stands on.
+        out: File of the picture, ``.svg`` or ``.png``; ``None`` to print the table alone.
+        size: Longer side of the robot in the picture (pixels).
     """
 
     robot: RobotSettings
