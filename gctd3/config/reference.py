@@ -15,9 +15,8 @@ from gctd3.config.presets import Preset, groups, presets
 HEAD = """# Configuration
 
 Every command takes `key=value` arguments. The default of a key is that of a dataclass, so that Python and the command
-line have the same; an option of a group, as in `algo=td3`, changes some of its keys, which `conf/` holds with the reason
-for each. A key on the command line wins over options, an option over defaults. `python -m gctd3.COMMAND --cfg job` shows
-the result.
+line have the same; an option of a group, as in `algo=td3`, changes some of its keys: `conf/` says which and why. A key
+on the command line wins over options, an option over defaults. `python -m gctd3.COMMAND --cfg job` shows the result.
 
 This page is written by `python -m gctd3.config.reference`, from those dataclasses and YAMLs.
 """

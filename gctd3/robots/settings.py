@@ -14,14 +14,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RobotSettings:
-    """Which robot, and which graph over it.
+    """Set which robot, and which graph over it.
 
     Attributes:
-        name: A shipped robot, or the path of an MJCF file; of no meaning for a library's task, which brings its own.
-        graph: Preset of :meth:`gctd3.KinematicGraph.from_robot`.
-        graph_seed: For ``graph=random``.
-        feet: Names of the bodies that may touch the ground; ``None`` for those that stand on it.
-        forward: Where the robot is to go, of the world's axes; ``None`` to find out.
+        name: Robot that ships with gctd3, or the path of an MJCF file (robot=my.xml says the same); of no meaning for a
+            library's task, which brings its own.
+        graph: Edges between its nodes: ``tree`` (the paper's), ``authors`` (the released script's), ``edgeless``,
+            ``complete`` or ``random``.
+        graph_seed: Seed of graph=random.
+        feet: Bodies (or geoms of theirs) that may touch the ground; ``None`` for those at the ends of the legs that it
+            stands on.
+        forward: Axis of the world along which it is to go: x, -x, y or -y; ``None``: along its slide, or where its left
+            and right sides are equal.
     """
 
     name: str = "biped"
