@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import os
 import re
 import sys
@@ -188,12 +189,23 @@ def ships(argument: str) -> bool:
     return group is not None and conf().joinpath(group, f"{option}.yaml").is_file()
 
 
+def _elsewhere(arguments: list[str]) -> list[str]:
+    """Tell Hydra where else options are, if a command line says so."""
+    said = [argument for argument in arguments if argument.startswith("hydra.searchpath=")]
+    for argument, following in itertools.zip_longest(arguments, arguments[1:], fillvalue=""):
+        option, _, folder = argument.partition("=")
+        if option in ("--config-dir", "-cd"):
+            path = str(Path(folder or following).absolute()).replace("'", "\\'")
+            said.append(f"hydra.searchpath=['file://{path}']")
+    return said[-1:]
+
+
 def _known_keys(config: str, arguments: list[str]) -> list[str]:
     """Every key of the configuration, under those of the arguments that choose an option and are sound."""
     GlobalHydra.instance().clear()
+    sound = _elsewhere(arguments)
     with initialize_config_module(CONF, version_base="1.3"):
-        composed = compose(config)
-        sound: list[str] = []
+        composed = compose(config, sound)
         for argument in filter(chooses, arguments):  # to compose takes long
             with contextlib.suppress(*_USER_ERRORS):
                 composed = compose(config, [*sound, argument])
