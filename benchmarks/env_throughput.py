@@ -19,7 +19,8 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 import gctd3
-from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings
 from gctd3.tasks.reward import Reward
 
 ROBOTS, SUBSTEPS, HOLD = 64, 4, 5

@@ -23,8 +23,9 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import gctd3
-from gctd3.deploy.export import Deterministic, ExportSettings, export_run
+from gctd3.deploy.export import Deterministic, export_run
 from gctd3.deploy.policy import Policy, open_session
+from gctd3.deploy.settings import ExportSettings
 
 WARM_UP = 200  # calls of each way that are not counted
 STATES = 256  # that are acted on in turn

@@ -29,13 +29,14 @@ from torchrl.objectives import TD3Loss as StockTD3Loss
 
 import gctd3
 from gctd3.algorithms.base import Architecture, minimize
-from gctd3.algorithms.td3 import TD3Settings
-from gctd3.data.replay import Replay, ReplaySettings
+from gctd3.algorithms.settings import TD3Settings
+from gctd3.data.replay import Replay
+from gctd3.data.settings import ReplaySettings
 from gctd3.nn import Network
 
 HELD, UPDATES = 20_000, 20  # transitions in each buffer; updates timed at once
 ROBOTS, NODES, FEATURES, ACTIONS, COUNTERS = 20, 8, 10, 6, 4
-NETWORKS = {"GCN": Network(), "MLP": Network(graph_layers=())}
+NETWORKS = {"GCN": Network(norm="none"), "MLP": Network(graph_layers=(), norm="none")}  # the paper's
 
 
 def transitions() -> TensorDictBase:
@@ -66,7 +67,7 @@ def transitions() -> TensorDictBase:
 def ours(network: Network, batch: int, data: TensorDictBase, graph: gctd3.KinematicGraph) -> Callable[[], Any]:
     """Our TD3 and replay."""
     algorithm = TD3Settings().build(Architecture(graph, network, FEATURES, ACTIONS))
-    replay = Replay(ReplaySettings(capacity=HELD, batch_size=batch), gamma=0.99)
+    replay = Replay(ReplaySettings(capacity=HELD, batch_size=batch, n_step=1, mirror=False), gamma=0.99)
     replay.extend(data)
     return lambda: algorithm.update(replay.sample())
 
@@ -83,7 +84,8 @@ def stock(network: Network, batch: int, data: TensorDictBase, graph: gctd3.Kinem
         return torch.optim.Adam([p for p in parameters.values(True, True) if p.requires_grad], lr=3e-4)
 
     critic, actor = adam(loss.qvalue_network_params), adam(loss.actor_network_params)
-    replay = Replay(ReplaySettings(capacity=HELD, batch_size=batch, storage="stacked"), gamma=0.99)
+    settings = ReplaySettings(capacity=HELD, batch_size=batch, n_step=1, mirror=False, storage="stacked")
+    replay = Replay(settings, gamma=0.99)
     replay.extend(data)
     count = 0
 

@@ -27,9 +27,9 @@ from torchrl.envs import (
 )
 
 from gctd3.envs.factory import build_env
-from gctd3.envs.library import Library, LibrarySettings
 from gctd3.envs.library_robots import observed
 from gctd3.envs.nodes import with_nodes
+from gctd3.envs.settings import Library, LibrarySettings
 from gctd3.tasks.reward import Reward
 
 TASKS: dict[str, Library] = {

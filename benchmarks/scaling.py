@@ -23,15 +23,16 @@ from tensordict import TensorDict
 
 import gctd3
 from gctd3.algorithms.base import Architecture
-from gctd3.algorithms.td3 import TD3Settings
-from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.algorithms.settings import TD3Settings
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings
 from gctd3.nn import Network
 from gctd3.tasks.reward import Reward
 from gctd3.training.sweep import cores
 
 FEATURES, ACTIONS = 10, 6
 NODES, BATCH, ROBOTS = 8, 256, (64, 1024)  # where another size grows; the biped has 8 nodes
-NETWORKS = {"GCN": Network(), "MLP": Network(graph_layers=())}
+NETWORKS = {"GCN": Network(norm="none"), "MLP": Network(graph_layers=(), norm="none")}  # the paper's
 FRAMES, UPDATES = 2048, 10  # steps of all robots, and updates, that are timed at once
 
 Times = dict[str, dict[int, float]]  # milliseconds by series and size

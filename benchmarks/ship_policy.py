@@ -20,7 +20,8 @@ from omegaconf import OmegaConf
 
 from gctd3.config.build import build
 from gctd3.files import new_directory, write_manifest
-from gctd3.runs.judge import EVALUATION, EvaluateSettings, evaluate_run, table
+from gctd3.runs.judge import EVALUATION, evaluate_run, table
+from gctd3.runs.settings import EvaluateSettings
 from gctd3.tasks.reward import Reward
 from gctd3.training.checkpoint import POLICY, Checkpoints, checked
 from gctd3.training.saved_configuration import CONFIG, OVERRIDES, load_settings

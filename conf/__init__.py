@@ -1,1 +1,5 @@
-"""Settings: Hydra YAML, reachable by other projects as ``pkg://gctd3.conf``."""
+"""Configurations that Hydra reads as ``pkg://gctd3.conf``; whoever reads them so gets the defaults of settings too."""
+
+from gctd3.config.completion import install
+
+install()

@@ -92,7 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> list[float]:
     parser.add_argument("--batch", type=int, default=256, help="transitions in a gradient step")
     parser.add_argument("--seed", type=int, default=0, help="of everything")
     options = parser.parse_args(arguments)
-    network = Network(norm="layer")
+    network = Network()
     return train(options.env, network, options.frames, options.warmup, options.batch, options.seed)[1]
 
 

@@ -15,11 +15,11 @@ def _task(config: DictConfig) -> None:
         ROBUSTNESS,
         ROBUSTNESS_PICTURE,
         TRACE,
-        EvaluateSettings,
         evaluate_run,
         examine_run,
         table,
     )
+    from gctd3.runs.settings import EvaluateSettings
 
     settings: EvaluateSettings = build(config)
     report = evaluate_run(settings)

@@ -10,7 +10,8 @@ from gctd3.config.command_line import command
 
 def _task(config: DictConfig) -> None:
     from gctd3.comparison.output_directory import VERDICT
-    from gctd3.comparison.report import ReportSettings, report
+    from gctd3.comparison.report import report
+    from gctd3.comparison.settings import ReportSettings
 
     settings: ReportSettings = build(config)
     file = report(settings)

@@ -6,9 +6,10 @@ from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
 
-def composed(*overrides, root="config"):
+def composed(*overrides, root="config", missing=False):
+    """What a command composes; ``missing``: keys that must be given may be left out."""
     with initialize_config_module("gctd3.conf", version_base="1.3"):
-        return OmegaConf.to_container(compose(root, list(overrides)), resolve=True)
+        return OmegaConf.to_container(compose(root, list(overrides)), resolve=True, throw_on_missing=not missing)
 
 
 def items(node, prefix=""):

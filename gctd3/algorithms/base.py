@@ -6,7 +6,7 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDictBase
@@ -15,11 +15,13 @@ from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from gctd3.algorithms.adam import Adam
-from gctd3.errors import ConfigError
-from gctd3.nn import Network, make_actor, make_critic, make_stochastic_actor
-from gctd3.nn.actor import Scale
+from gctd3.nn.factories import make_actor, make_critic, make_stochastic_actor
+from gctd3.nn.settings import NetworkSettings, Scale
 from gctd3.robots.graph import KinematicGraph
 from gctd3.tasks.reflection import Reflection
+
+if TYPE_CHECKING:
+    from gctd3.algorithms.settings import AlgorithmSettings
 
 Metrics = dict[str, Tensor]
 EAGER = 2  # updates before compiling, in which every loss is called once and gets its networks
@@ -40,7 +42,7 @@ class Architecture:
     """
 
     graph: KinematicGraph
-    network: Network
+    network: NetworkSettings
     in_features: int
     action_dim: int
     privileged_dim: int = 0
@@ -62,39 +64,6 @@ class Architecture:
         sizes = self.in_features, self.action_dim
         critic = make_critic(self.graph, *sizes, self.network, self.privileged_dim, self.reflection)
         return critic.to(self.device)
-
-
-@dataclass(frozen=True)
-class AlgorithmSettings(ABC):
-    """Hyperparameters that all algorithms share.
-
-    Attributes:
-        learning_rate: Of Adam, for every network.
-        tau: Share of the trained parameters that enters the averaged ones at each target update.
-        gamma: Discount factor.
-        average_policy: Whether evaluations use the averaged actor rather than the trained one.
-        compile: Whether ``torch.compile`` compiles the losses, with CUDA graphs on a GPU.
-        privileged_critic: Whether the critics also see how near each time-based ending is.
-    """
-
-    learning_rate: float = 3e-4
-    tau: float = 0.005
-    gamma: float = 0.99
-    average_policy: bool = True
-    privileged_critic: bool = False
-    compile: bool = False
-
-    def __post_init__(self) -> None:
-        if not self.learning_rate > 0:
-            raise ConfigError(f"learning_rate must be above 0, got {self.learning_rate}.")
-        if not 0 < self.tau <= 1:
-            raise ConfigError(f"tau must be in (0, 1], got {self.tau}.")
-        if not 0 <= self.gamma < 1:
-            raise ConfigError(f"gamma must be in [0, 1), got {self.gamma}.")
-
-    @abstractmethod
-    def build(self, architecture: Architecture) -> Algorithm:
-        """The algorithm, with fresh networks."""
 
 
 class Algorithm(ABC):

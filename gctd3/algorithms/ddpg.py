@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from tensordict import TensorDictBase
 from torchrl.objectives import DDPGLoss
 
-from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics, minimize
+from gctd3.algorithms.base import Algorithm, Architecture, Metrics, minimize
 from gctd3.objectives import FusedSoftUpdate
 
-
-@dataclass(frozen=True)
-class DDPGSettings(AlgorithmSettings):
-    """Hyperparameters of DDPG: those that all algorithms share."""
-
-    def build(self, architecture: Architecture) -> DDPG:
-        """The algorithm, with fresh networks."""
-        return DDPG(self, architecture)
+if TYPE_CHECKING:
+    from gctd3.algorithms.settings import DDPGSettings
 
 
 class DDPG(Algorithm):

@@ -2,38 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from tensordict import TensorDictBase
 
-from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics, minimize
-from gctd3.errors import ConfigError
-from gctd3.nn.actor import Scale
+from gctd3.algorithms.base import Algorithm, Architecture, Metrics, minimize
 from gctd3.objectives import FusedSoftUpdate, SACLoss
 
-
-@dataclass(frozen=True)
-class SACSettings(AlgorithmSettings):
-    """Hyperparameters of SAC.
-
-    Attributes:
-        alpha: Initial temperature.
-        scale: What makes the policy's standard deviation of a number without bounds: ``exp``, as in the authors' code,
-            or ``softplus``, as in TorchRL.
-    """
-
-    alpha: float = 0.2
-    scale: Scale = "softplus"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.alpha > 0:
-            raise ConfigError(f"alpha must be above 0, got {self.alpha}.")
-
-    def build(self, architecture: Architecture) -> SAC:
-        """The algorithm, with fresh networks."""
-        return SAC(self, architecture)
+if TYPE_CHECKING:
+    from gctd3.algorithms.settings import SACSettings
 
 
 class SAC(Algorithm):

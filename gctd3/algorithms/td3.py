@@ -2,41 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from tensordict import TensorDictBase
 
-from gctd3.algorithms.base import Algorithm, AlgorithmSettings, Architecture, Metrics, minimize
-from gctd3.errors import ConfigError
+from gctd3.algorithms.base import Algorithm, Architecture, Metrics, minimize
 from gctd3.objectives import FusedSoftUpdate, TD3Loss
 
-
-@dataclass(frozen=True)
-class TD3Settings(AlgorithmSettings):
-    """Hyperparameters of TD3.
-
-    Attributes:
-        policy_delay: Critic updates for each update of the actor and the targets.
-        policy_noise: Standard deviation of the noise on the target's actions, which are in [-1, 1].
-        noise_clip: Largest size of that noise.
-    """
-
-    policy_delay: int = 2
-    policy_noise: float = 0.2
-    noise_clip: float = 0.5
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.policy_delay < 1:
-            raise ConfigError(f"policy_delay must be at least 1, got {self.policy_delay}.")
-        if self.policy_noise < 0 or self.noise_clip < 0:
-            raise ConfigError(
-                f"policy_noise and noise_clip must be at least 0, got {self.policy_noise} and {self.noise_clip}."
-            )
-
-    def build(self, architecture: Architecture) -> TD3:
-        """The algorithm, with fresh networks."""
-        return TD3(self, architecture)
+if TYPE_CHECKING:
+    from gctd3.algorithms.settings import TD3Settings
 
 
 class TD3(Algorithm):

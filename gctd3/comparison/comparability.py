@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from gctd3.comparison.runs import Run
 from gctd3.errors import RunError
-from gctd3.evaluation.rollout import Judging
+from gctd3.evaluation.settings import Judging
 from gctd3.runs.judge import EVALUATION, ROBUSTNESS
 from gctd3.training.checkpoint import FOLDER
 

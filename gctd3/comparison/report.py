@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,9 +14,9 @@ from gctd3.comparison.comparability import check_judging, check_seeds, check_tog
 from gctd3.comparison.groups import groups_of, typical, with_trace
 from gctd3.comparison.output_directory import FIGURES, PAGE, TABLES, VERDICT, check_place, in_place
 from gctd3.comparison.runs import Run, evaluated, find_runs, lost_runs
+from gctd3.comparison.settings import ReportSettings
 from gctd3.errors import ConfigError, RenderError, RunError
 from gctd3.evaluation.episode import LAST_METRES
-from gctd3.evaluation.rollout import Judging
 from gctd3.files import write_text
 from gctd3.robots.robot import Robot
 from gctd3.runs.judge import TRACE
@@ -26,21 +25,6 @@ if TYPE_CHECKING:
     from gctd3.comparison.figures import Gallery, Picture
 
 NEEDED = ("rliable", "matplotlib")
-
-
-@dataclass(frozen=True)
-class ReportSettings(Judging):
-    """What ``gctd3.report`` is asked to do; the judging is that of runs that have no evaluation.
-
-    Attributes:
-        runs: Directory below which the runs are.
-        out: Directory to write to: empty, not there yet, or that of an earlier report, which is replaced.
-        keep_runs: Whether to copy there, as ``runs``, what the numbers were made of.
-    """
-
-    runs: str
-    out: str
-    keep_runs: bool = False
 
 
 def report(settings: ReportSettings) -> Path:

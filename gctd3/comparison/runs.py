@@ -14,9 +14,10 @@ import numpy as np
 from tqdm import tqdm
 
 from gctd3.errors import GCTD3Error, RunError
-from gctd3.evaluation.rollout import Judging
+from gctd3.evaluation.settings import Judging
 from gctd3.files import MANIFEST, read_manifest
-from gctd3.runs.judge import EVALUATION, ROBUSTNESS, TRACE, EvaluateSettings, evaluate_run
+from gctd3.runs.judge import EVALUATION, ROBUSTNESS, TRACE, evaluate_run
+from gctd3.runs.settings import EvaluateSettings
 from gctd3.training.run_log import PROGRESS
 from gctd3.training.saved_configuration import CONFIG, OVERRIDES, command_line, flat, load_config, load_settings
 from gctd3.training.stop_when import StopWhen

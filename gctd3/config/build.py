@@ -6,7 +6,6 @@ their values of the annotated types. The dataclasses check ranges themselves.
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
 import math
 import os
@@ -16,11 +15,10 @@ import typing
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from hydra.errors import HydraException
-from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
+from gctd3.config.fields import TARGET, describe, find, is_settings
 from gctd3.errors import ConfigError, suggest
 
 OWN = "gctd3"
@@ -59,7 +57,7 @@ def _check_modules(value: Any, path: str) -> None:  # noqa: ANN401
         return
     for key, item in value.items():
         _check_modules(item, f"{path}.{key}".lstrip("."))
-    target = value.get("_target_")
+    target = value.get(TARGET)
     if not isinstance(target, str):
         return
     package, module = target.partition(".")[0], target.rpartition(".")[0]
@@ -73,8 +71,8 @@ def _check_modules(value: Any, path: str) -> None:  # noqa: ANN401
 
 def _build(value: Any, path: str) -> Any:  # noqa: ANN401
     if isinstance(value, Mapping):
-        inner = {key: _build(item, f"{path}.{key}".lstrip(".")) for key, item in value.items() if key != "_target_"}
-        return _call(value["_target_"], inner, path) if "_target_" in value else inner
+        inner = {key: _build(item, f"{path}.{key}".lstrip(".")) for key, item in value.items() if key != TARGET}
+        return _call(value[TARGET], inner, path) if TARGET in value else inner
     if isinstance(value, list):
         return tuple(_build(item, f"{path}[{i}]") for i, item in enumerate(value))
     return value
@@ -83,11 +81,11 @@ def _build(value: Any, path: str) -> Any:  # noqa: ANN401
 def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa: ANN401
     where = path or "the configuration"
     try:
-        function = get_object(target)
-    except (HydraException, ImportError, ValueError, AttributeError) as error:
+        function = find(target)
+    except ImportError as error:
         raise ConfigError(f"{where}: _target_ {target!r} cannot be imported: {error}") from error
     # Nothing else is called, so that reading somebody's configuration cannot run a program.
-    if not dataclasses.is_dataclass(function) or not isinstance(function, type):
+    if not is_settings(function):
         raise ConfigError(f"{where}: _target_ {target!r} is not a dataclass of settings.")
     parameters = inspect.signature(function).parameters
     hints = _hints(function)
@@ -97,7 +95,7 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
             raise ConfigError(f"Unknown key {full!r}.{suggest(key, parameters)} Accepted: {', '.join(parameters)}.")
         if key in hints and not _fits(value, hints[key]):
             hint = suggest(value, _options(hints[key])) if isinstance(value, str) else ""
-            raise ConfigError(f"{full} must be {_describe(hints[key])}, got {value!r}.{hint}")
+            raise ConfigError(f"{full} must be {describe(hints[key])}, got {value!r}.{hint}")
     missing = [n for n, p in parameters.items() if p.default is inspect.Parameter.empty and n not in arguments]
     if missing:
         raise ConfigError(f"{where} lacks {', '.join(missing)}.")
@@ -154,19 +152,3 @@ def _options(hint: Any) -> list[str]:  # noqa: ANN401
     if typing.get_origin(hint) is typing.Literal:
         return [option for option in inner if isinstance(option, str)]
     return [option for part in inner for option in _options(part)]
-
-
-def _describe(hint: Any) -> str:  # noqa: ANN401
-    origin, inner = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (typing.Union, types.UnionType):
-        return " or ".join(_describe(option) for option in inner)
-    if origin is typing.Literal:
-        return "one of " + ", ".join(map(str, inner))
-    if hint in (None, type(None)):
-        return "null"
-    if origin is not None and issubclass(origin, Mapping):
-        return f"a mapping to {_describe(inner[1])}"
-    if origin is not None and issubclass(origin, Sequence):
-        return f"a list of {_describe(inner[0])}"
-    names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
-    return names.get(hint, f"a {getattr(hint, '__name__', hint)} (a mapping with its _target_)")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import os
 import re
 import sys
 import warnings
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 from typing import NoReturn
 
@@ -23,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from gctd3.compat import own_launcher
-from gctd3.config.help import CONF, asks_for_help, check_installed, command_of, fail, help_of
+from gctd3.config.help import CONF, asks_for_help, check_installed, command_of, conf, fail, help_of
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
 
 INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
@@ -181,21 +181,32 @@ def explain(error: Exception, config: str) -> str:
 def chooses(argument: str) -> str | None:
     """The group of which an argument chooses an option, if it is about one; other arguments add no keys."""
     group = re.split("[=@]", argument.lstrip("+~"), maxsplit=1)[0]
-    return group if group.isidentifier() and resources.files(CONF).joinpath(group).is_dir() else None
+    return group if group.isidentifier() and conf().joinpath(group).is_dir() else None
 
 
 def ships(argument: str) -> bool:
     """Whether the option that an argument chooses of a group comes with gctd3."""
     group, option = chooses(argument), argument.partition("=")[2]
-    return group is not None and resources.files(CONF).joinpath(group, f"{option}.yaml").is_file()
+    return group is not None and conf().joinpath(group, f"{option}.yaml").is_file()
+
+
+def _elsewhere(arguments: list[str]) -> list[str]:
+    """Tell Hydra where else options are, if a command line says so."""
+    said = [argument for argument in arguments if argument.startswith("hydra.searchpath=")]
+    for argument, following in itertools.zip_longest(arguments, arguments[1:], fillvalue=""):
+        option, _, folder = argument.partition("=")
+        if option in ("--config-dir", "-cd"):
+            path = str(Path(folder or following).absolute()).replace("'", "\\'")
+            said.append(f"hydra.searchpath=['file://{path}']")
+    return said[-1:]
 
 
 def _known_keys(config: str, arguments: list[str]) -> list[str]:
     """Every key of the configuration, under those of the arguments that choose an option and are sound."""
     GlobalHydra.instance().clear()
+    sound = _elsewhere(arguments)
     with initialize_config_module(CONF, version_base="1.3"):
-        composed = compose(config)
-        sound: list[str] = []
+        composed = compose(config, sound)
         for argument in filter(chooses, arguments):  # to compose takes long
             with contextlib.suppress(*_USER_ERRORS):
                 composed = compose(config, [*sound, argument])

@@ -1,21 +1,21 @@
-"""What the commands are, and what ``--help`` says of each: read from conf/, so that it says what is true. Light."""
+"""What the commands are, and what ``--help`` says of each: read from settings and conf/, so that it is true. Light."""
 
 from __future__ import annotations
 
+import itertools
 import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from importlib import resources
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, NoReturn
+from pathlib import Path
+from typing import Any, NoReturn
 
 import yaml
 
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
+from gctd3.config.fields import REQUIRED, TARGET, find, in_plain_text, settings_of
 
 CONF = "gctd3.conf"
 HELP = ("--help", "-h")
@@ -23,9 +23,9 @@ USAGE_ERROR = 2
 # In the order in which one meets them.
 COMMANDS = ("view", "render", "train", "evaluate", "report", "graph", "export")
 _ROOTS = {"train": "config"}  # YAMLs that are not called as their command is
-_KEY = re.compile(r"(?P<indent> *)(?P<key>\w+):(?: +(?P<value>[^#]*?))?(?: +# *(?P<comment>.*))?$")
 _CHOICE = re.compile(r" +- (?P<group>\w+)(?:@(?P<place>[\w.]+))?: (?P<option>\w+)(?: +# *(?P<comment>.*))?$")
 _NARROW, _WIDE = 60, 112  # columns
+GROUPED = 10_000  # from where on digits of a number are grouped
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,16 @@ def command_of(root: str) -> str:
     return next((command for command, name in _ROOTS.items() if name == root), root)
 
 
-def conf() -> Traversable:
-    """The folder of YAMLs."""
-    return resources.files(CONF)
+def root_of(command: str) -> str:
+    """Name the YAML of a command."""
+    return _ROOTS.get(command, command)
+
+
+def conf() -> Path:
+    """Find the folder of YAMLs, without importing it: that is for Hydra, which completes what it reads there."""
+    spec = find_spec(CONF)
+    assert spec is not None and spec.submodule_search_locations is not None
+    return Path(next(iter(spec.submodule_search_locations)))
 
 
 def summary(command: str) -> str:
@@ -97,7 +104,7 @@ def overview() -> str:
 
 
 def help_of(command: str) -> str:
-    """What a command does, examples, and the keys that its own YAML holds, with their defaults and comments."""
+    """Say what a command does, with examples, the keys of its settings with default and meaning, and its choices."""
     text = _text(command)
     about = yaml.safe_load(text)["hydra"]["help"]["template"].rstrip()
     lines = [about, "", "Keys (key=default):", *_table(keys(command))]
@@ -105,30 +112,41 @@ def help_of(command: str) -> str:
     if chosen:
         lines += ["", "Choices (group=option), each of which brings keys of its own:", *_table(chosen)]
         lines += ["", f"`python -m gctd3.{command} --cfg job` shows every key, also after choices on the same line."]
+        lines += ["`python -m gctd3.config.reference` says what each of them means."]
     return "\n".join(lines)
 
 
 def keys(command: str) -> Iterator[Key]:
-    """The keys of a command's YAML, but those of its groups and Hydra's."""
-    path: list[str] = []
-    said: list[str] = []
-    goes_on = False  # whether the line before was a comment too
-    for line in _text(command).splitlines():
-        if line.strip().startswith("#"):
-            words = line.strip("# ")
-            said, goes_on = [*said, words] if goes_on else [words], True
-            continue
-        goes_on = False
-        match = _KEY.match(line)
-        if match is None:
-            # A comment is shared by all keys below it, up to an empty line.
-            said = said if line.strip() else []
-            continue
-        path = [*path[: len(match["indent"]) // 2], match["key"]]
-        if path[0] in ("defaults", "hydra") or path[-1] == "_target_" or not match["value"]:
-            continue
-        value = "..." if match["value"] == "???" else match["value"]
-        yield Key(".".join(path), value, match["comment"] or " ".join(said))
+    """List the keys of a command's settings, but those that its groups bring."""
+    plain = yaml.safe_load(_text(command))
+    return _keys(plain, {choice.name.rpartition("@")[2] for choice in choices(command)}, "")
+
+
+def _keys(said: Mapping[str, Any], taken: Collection[str], prefix: str) -> Iterator[Key]:
+    """List the keys of settings, of which a YAML says ``said``, but those that are ``taken``."""
+    inner = []
+    for setting in settings_of(find(said[TARGET])):
+        name, value = f"{prefix}{setting.name}", said.get(setting.name, setting.default)
+        if name not in taken and isinstance(value, Mapping) and TARGET in value:
+            inner.append(_keys(value, taken, f"{name}."))
+        elif name not in taken:
+            yield Key(name, written(value), in_plain_text(setting.meaning))
+    yield from itertools.chain(*inner)
+
+
+def written(value: object) -> str:
+    """Write a value as a command line has it; ``...`` if there is none."""
+    if value == REQUIRED:
+        return "..."
+    if isinstance(value, list):
+        return f"[{','.join(map(written, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{{','.join(f'{key}:{written(item)}' for key, item in value.items())}}}"
+    if isinstance(value, bool) or value is None:
+        return {True: "true", False: "false", None: "null"}[value]
+    if isinstance(value, float):
+        return str(value).removesuffix(".0")
+    return f"{value:_}" if isinstance(value, int) and value >= GROUPED else str(value)
 
 
 def choices(command: str) -> Iterator[Key]:
@@ -145,7 +163,7 @@ def choices(command: str) -> Iterator[Key]:
 
 
 def _text(command: str) -> str:
-    return conf().joinpath(f"{_ROOTS.get(command, command)}.yaml").read_text(encoding="utf-8")
+    return conf().joinpath(f"{root_of(command)}.yaml").read_text(encoding="utf-8")
 
 
 def _table(rows: Iterator[Key] | list[Key]) -> Iterator[str]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from gctd3.data.collector_settings import InlineSettings, ProcessSettings
 from gctd3.data.exploration import Explorer
 from gctd3.data.inline_collector import InlineCollector
-from gctd3.data.ray_cluster import RaySettings
+from gctd3.data.settings import InlineSettings, ProcessSettings, RaySettings
 from gctd3.data.worker import Launch
 from gctd3.data.worker_collector import WorkerCollector
 from gctd3.envs.factory import EnvRecipe

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from tensordict import TensorDictBase
@@ -13,70 +11,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from gctd3.errors import ConfigError
+from gctd3.data.settings import ExplorationSettings
 from gctd3.robots.robot import Robot
-
-
-@dataclass(frozen=True)
-class ExplorationSettings:
-    """Warm-up and noise.
-
-    Attributes:
-        warmup: ``rhythmic``: see :class:`Rhythm`; ``uniform``: uniform actions, each held for a while.
-        warmup_frames: Frames (all robots together) before the policy acts.
-        hold: Control steps for which ``uniform`` holds an action.
-        frequency: Lowest and highest frequency of ``rhythmic`` (Hz).
-        heirs: Share of ``rhythmic``'s gaits that descend from those that got farthest before; the rest are drawn anew.
-        noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions, spread
-            geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for a policy that
-            is random by itself.
-        noise_time: Correlation time (s) of the noise of every second robot, an Ornstein-Uhlenbeck process (Lillicrap et
-            al. 2016, arXiv:1509.02971) of the same standard deviation; 0 for white noise as on the others.
-    """
-
-    warmup: Literal["rhythmic", "uniform"] = "rhythmic"
-    warmup_frames: int = 10_000
-    hold: int = 5
-    frequency: Sequence[float] = (1.2, 2.4)
-    heirs: float = 0.0
-    noise: Sequence[float] | None = (0.05, 0.5)
-    noise_time: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.warmup_frames < 0:
-            raise ConfigError(f"warmup_frames must be at least 0, got {self.warmup_frames}.")
-        if self.hold < 1:
-            raise ConfigError(f"hold must be at least 1, got {self.hold}.")
-        if len(self.frequency) != 2 or not 0 < self.frequency[0] <= self.frequency[1]:
-            raise ConfigError(f"frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
-        if not 0.0 <= self.heirs <= 1.0:
-            raise ConfigError(f"heirs must be between 0 and 1, got {self.heirs}.")
-        # Actions are clipped to [-1, 1]: noise beyond that is no longer noise on an action.
-        if self.noise is not None and (len(self.noise) != 2 or not 0 < self.noise[0] <= self.noise[1] <= 10):
-            raise ConfigError(f"noise must be [smallest, largest] > 0 and <= 10, or null, got {list(self.noise)}.")
-        if self.noise_time < 0:
-            raise ConfigError(f"noise_time must be at least 0 s, got {self.noise_time}.")
-
-    def check_robot(self, robot: Robot, control_dt: float) -> None:
-        """Raise a :class:`.ConfigError` if a robot cannot be moved like this.
-
-        Args:
-            robot: The robot.
-            control_dt: Control period (s).
-        """
-        if self.warmup != "rhythmic":
-            return
-        if self.frequency[1] > 0.5 / control_dt:
-            raise ConfigError(
-                f"exploration.frequency must be at most half a cycle a control step, {0.5 / control_dt:g} Hz, "
-                f"got {list(self.frequency)}."
-            )
-        # Only joints have mirror images.
-        if len(robot.actuated) != robot.model.nu:
-            raise ConfigError(
-                f"exploration.warmup must be uniform, got rhythmic: {robot.model.nu - len(robot.actuated)} of the "
-                f"{robot.model.nu} actions move no joint, and only joints have a mirror image."
-            )
 
 
 class Rhythm(torch.nn.Module):

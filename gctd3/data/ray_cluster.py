@@ -5,16 +5,13 @@ from __future__ import annotations
 import concurrent.futures
 import contextlib
 import os
-import re
 import socket
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Any
 
 from gctd3.data.background import in_thread
-from gctd3.data.collector_settings import ProcessSettings
 from gctd3.errors import ConfigError, WorkerError
 
 ANSWER = 5.0  # s, that a head node may take to accept a connection
@@ -24,71 +21,55 @@ PROBE = 60.0  # s, that the nodes may take to say what is installed on them
 ALIKE = ("gctd3", "torch", "torchrl", "tensordict", "mujoco")
 
 
-@dataclass(frozen=True)
-class RaySettings(ProcessSettings):
-    """Workers on a Ray cluster.
+def check_cluster(address: str | None, workers: int, cpus: int) -> None:
+    """Join the cluster at ``address``, or start one, and check that ``workers`` of ``cpus`` CPUs each can work on it.
 
-    Attributes:
-        address: ``host:port`` of the cluster's head node, or ``auto`` for the cluster that runs on this machine;
-            ``None`` starts one on this machine that ends with the training.
+    Raises:
+        ConfigError: If Ray is not installed, nothing answers at the address, or the CPUs do not suffice.
+        WorkerError: If the nodes have other versions of what matters than this machine.
     """
+    if find_spec("ray") is None:
+        raise ConfigError("collector=ray needs its package: pip install 'gctd3[ray]'.")
+    _connect(address)
+    nodes = _nodes()
+    check_room(workers, cpus, {name: int(node["Resources"]["CPU"]) for name, node in nodes.items()})
+    check_alike(installed(), _on_nodes(nodes))
 
-    address: str | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.address not in (None, "auto") and not re.fullmatch(r"[^\s:/]+:\d{1,5}", self.address or ""):
-            raise ConfigError(f"address must be host:port, auto or null, got {self.address!r}.")
+def _connect(address: str | None) -> None:
+    # Before the import, where Ray reads it; by default it reports that it is used.
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    import ray
 
-    def check_here(self, num_envs: int) -> None:
-        """Join the cluster, or start it, and check that it can do the work.
-
-        Raises:
-            ConfigError: If Ray is not installed, nothing answers at the address, or the CPUs do not suffice.
-            WorkerError: If the nodes have other versions of what matters than this machine.
-        """
-        super().check_here(num_envs)
-        if find_spec("ray") is None:
-            raise ConfigError("collector=ray needs its package: pip install 'gctd3[ray]'.")
-        self._connect()
-        nodes = _nodes()
-        check_room(self.workers, self.cpus, {name: int(node["Resources"]["CPU"]) for name, node in nodes.items()})
-        check_alike(installed(), _on_nodes(nodes))
-
-    def _connect(self) -> None:
-        # Before the import, where Ray reads it; by default it reports that it is used.
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        import ray
-
-        if ray.is_initialized():
-            return
-        if self.address is not None and self.address != "auto":
-            _check_answers(self.address)
-        # In a thread: Ray tries for minutes to talk to what is no cluster, and in the main one would take over SIGTERM.
-        # The thread stays, for a cluster that is started here ends with it.
-        joined = in_thread(
-            lambda: ray.init(
-                address=self.address or "local",
-                include_dashboard=False if self.address is None else None,
-                logging_level="error",
-                log_to_driver=False,
-            ),
-            stays=True,
-        )
-        try:
-            joined.result(None if self.address is None else JOIN)
-        except concurrent.futures.TimeoutError as error:
-            raise ConfigError(
-                f"collector.address={self.address}: what listens there has not answered as a Ray cluster in {JOIN:g} s."
-            ) from error
-        except Exception as error:  # Ray raises bare ones too
-            said = " ".join(line.strip() for line in str(error).splitlines()[:4]) or type(error).__name__
-            if self.address is None:
-                raise WorkerError(f"No Ray cluster could be started on this machine: {said}") from error
-            raise ConfigError(
-                f"collector.address={self.address}: cannot join a Ray cluster there: {said}. "
-                "If it asks for a token, this machine needs the same one (RAY_AUTH_TOKEN)."
-            ) from error
+    if ray.is_initialized():
+        return
+    if address is not None and address != "auto":
+        _check_answers(address)
+    # In a thread: Ray tries for minutes to talk to what is no cluster, and in the main one would take over SIGTERM.
+    # The thread stays, for a cluster that is started here ends with it.
+    joined = in_thread(
+        lambda: ray.init(
+            address=address or "local",
+            include_dashboard=False if address is None else None,
+            logging_level="error",
+            log_to_driver=False,
+        ),
+        stays=True,
+    )
+    try:
+        joined.result(None if address is None else JOIN)
+    except concurrent.futures.TimeoutError as error:
+        raise ConfigError(
+            f"collector.address={address}: what listens there has not answered as a Ray cluster in {JOIN:g} s."
+        ) from error
+    except Exception as error:  # Ray raises bare ones too
+        said = " ".join(line.strip() for line in str(error).splitlines()[:4]) or type(error).__name__
+        if address is None:
+            raise WorkerError(f"No Ray cluster could be started on this machine: {said}") from error
+        raise ConfigError(
+            f"collector.address={address}: cannot join a Ray cluster there: {said}. "
+            "If it asks for a token, this machine needs the same one (RAY_AUTH_TOKEN)."
+        ) from error
 
 
 def _check_answers(address: str) -> None:

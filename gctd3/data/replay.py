@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -15,37 +14,10 @@ from torchrl.envs.transforms import MultiStepTransform
 from gctd3.compat import set_waiting_steps, waiting_steps
 from gctd3.data.frame_buffer import FrameBuffer
 from gctd3.data.mirror_augmentation import MirrorAugmentation
-from gctd3.errors import ConfigError, check_between
+from gctd3.data.settings import ReplaySettings
 
 KEPT = ("nodes", "counters", "action", ("next", "nodes"), ("next", "counters"), ("next", "reward"))
 ENDS = (("next", "done"), ("next", "terminated"), ("next", "truncated"))
-
-
-@dataclass(frozen=True)
-class ReplaySettings:
-    """What is remembered and how it is drawn.
-
-    Attributes:
-        capacity: Transitions kept; the oldest leave first.
-        batch_size: Transitions drawn for an update.
-        n_step: Rewards summed before the bootstrap (Sutton 1988).
-        mirror: Whether half of every batch is reflected in the robot's sagittal plane.
-        storage: ``frames`` stores every frame once and stacks at sampling, as :class:`.FrameBuffer` does;
-            ``stacked`` stores the stacks as they came, in TorchRL's buffer, at six times the memory.
-    """
-
-    capacity: int = 1_000_000
-    batch_size: int = 256
-    n_step: int = 1
-    mirror: bool = False
-    storage: Literal["frames", "stacked"] = "frames"
-
-    def __post_init__(self) -> None:
-        check_between(self, 1, 10**12, "capacity")
-        check_between(self, 1, 10**6, "batch_size")
-        check_between(self, 1, 1000, "n_step")
-        if self.batch_size > self.capacity:
-            raise ConfigError(f"batch_size must be at most capacity, got {self.batch_size} and {self.capacity}.")
 
 
 class Replay:

@@ -23,8 +23,8 @@ from torch import nn
 from tqdm import tqdm
 
 from gctd3.data.background import in_thread
-from gctd3.data.collector_settings import ProcessSettings
 from gctd3.data.exploration import Explorer
+from gctd3.data.settings import ProcessSettings
 from gctd3.data.worker import Job, Launch, Policy, Worker
 from gctd3.envs.factory import EnvRecipe
 from gctd3.errors import WorkerError

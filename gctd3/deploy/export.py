@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +22,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from gctd3.deploy.contract import ROBOT, ROBOT_HASH, RobotIdentity
 from gctd3.deploy.policy import open_session
 from gctd3.deploy.robot_contract import describe
+from gctd3.deploy.settings import ExportSettings
 from gctd3.envs.factory import build_env
 from gctd3.envs.settings import EnvSettings
-from gctd3.errors import ConfigError, NumericalError, check_between, check_seed
+from gctd3.errors import NumericalError
 from gctd3.evaluation.rollout import evaluate
 from gctd3.files import write_bytes, write_text
 from gctd3.nn.actor import ACTION, NODES
@@ -40,42 +40,6 @@ Act = Callable[[np.ndarray], np.ndarray]  # states to actions
 STATES, TOLERANCE = 10_000, 1e-5  # on which the export is compared with PyTorch, and how far an action may be off
 MARGIN = 1.2  # of the largest change of a desired angle that was seen
 INSIDE = "policy.json"  # name of the contract inside a .pt2 file
-
-
-@dataclass(frozen=True)
-class ExportSettings:
-    """What ``gctd3.export`` is asked to do.
-
-    Attributes:
-        run: Directory of the run; the policy that ships with the library if ``None``.
-        out: ``.onnx`` for an ONNX file with its contract beside it, ``.pt2`` for ``torch.export``'s with it inside.
-        max_rate: Largest rate at which a desired angle may change (rad/s); ``None`` for 1.2 times what the policy asks
-            of each servo in simulation.
-        episodes: Of that simulation.
-        seed: Of their starts.
-        threads: That simulate; all cores if ``None``.
-    """
-
-    run: str | None
-    out: str
-    max_rate: float | None = None
-    episodes: int = 10
-    seed: int = 10_000
-    threads: int | None = None
-
-    def __post_init__(self) -> None:
-        check_between(self, 1, 10_000, "episodes")
-        check_seed("seed", self.seed)
-        if self.max_rate is not None and not self.max_rate > 0:
-            raise ConfigError(f"max_rate must be above 0 rad/s, or null, got {self.max_rate}.")
-        file = Path(self.out)
-        if file.suffix not in (".onnx", ".pt2"):
-            raise ConfigError(f"out must end in .onnx or .pt2, got {self.out!r}.")
-        if not file.absolute().parent.is_dir():
-            raise ConfigError(f"out={self.out}: there is no folder {file.absolute().parent}.")
-        missing = [package for package in NEEDED if find_spec(package) is None]
-        if missing and file.suffix == ".onnx":
-            raise ConfigError(f"To export to .onnx needs {', '.join(missing)}: pip install 'gctd3[export]'.")
 
 
 class Deterministic(nn.Module):

@@ -46,7 +46,7 @@ def _dm_control(task: Any, settings: EnvSettings, seed: int) -> Made:  # noqa: A
 
 
 def _library(task: Any, settings: EnvSettings, seed: int) -> Made:  # noqa: ANN401
-    return task.env(settings, seed), []
+    return task.env(settings.num_envs, seed), []
 
 
 BACKENDS: dict[Backend, Callable[[Any, EnvSettings, int], Made]] = {

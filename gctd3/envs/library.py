@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -11,7 +12,6 @@ from torchrl.envs import DMControlEnv, EnvBase, GymEnv
 
 from gctd3.envs.library_robots import LibraryRobots, observed
 from gctd3.envs.nodes import STATIC, NodeSensor, simulator
-from gctd3.envs.settings import EnvSettings, Library, LibrarySettings
 from gctd3.errors import ConfigError
 from gctd3.robots.floating_base import Axis
 from gctd3.robots.graph import KinematicGraph
@@ -21,30 +21,45 @@ from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import Ability
 
+Library = Literal["dm_control", "gymnasium"]
+
 
 class LibraryTask:
     """A task that another library simulates, judges and ends, on its own robot; see :class:`.Task`.
 
     Args:
-        settings: Which task, and what is observed of it.
+        library: ``dm_control`` or ``gymnasium``.
+        name: ``domain-task`` of dm_control's suite, or Gymnasium's id.
         robot: Feet, forward axis and graph of the library's robot.
+        history: Frames stacked into an observation.
+        observation: ``nodes`` of the robot's graph, or ``flat`` for what the task itself gives.
+        static: Whether every frame of a node also says what it is.
     """
 
     num_counters = 0
     backends: tuple[str, ...] = ("library",)
     abilities: frozenset[Ability] = frozenset()
 
-    def __init__(self, settings: LibrarySettings, robot: RobotSettings) -> None:
-        self.settings, self.name, self.history = settings, settings.name, settings.history
-        found = _probe(settings.library, settings.name)
+    def __init__(
+        self,
+        library: Library,
+        name: str,
+        robot: RobotSettings,
+        history: int = 2,
+        observation: Literal["nodes", "flat"] = "nodes",
+        static: bool = False,
+    ) -> None:
+        self.library, self.name, self.history = library, name, history
+        self.observation, self.static = observation, static
+        found = _probe(library, name)
         feet = None if robot.feet is None else tuple(robot.feet)
-        self.robot = _robot(settings.library, settings.name, feet, robot.forward)
+        self.robot = _robot(library, name, feet, robot.forward)
         self.control_dt = found.control_dt
-        if settings.observation == "flat":
+        if observation == "flat":
             self.graph, self.features = KinematicGraph(("observation",), np.zeros((1, 1))), found.size
         else:
             self.graph = robot.graph_of(self.robot)
-            self.features = NODE_FEATURES + (len(STATIC) if settings.static else 0)
+            self.features = NODE_FEATURES + (len(STATIC) if static else 0)
 
     def reflection(self) -> Reflection:
         """Return how its observations and actions look in the mirror.
@@ -52,10 +67,10 @@ class LibraryTask:
         Raises:
             ConfigError: If its nodes sense something else than those of the walking task.
         """
-        if self.settings.static or self.settings.observation == "flat":
+        if self.static or self.observation == "flat":
             raise ConfigError(
-                f"network.equivariant must be false for {self.name} with task.observation={self.settings.observation} "
-                f"and task.static={str(self.settings.static).lower()}, got true."
+                f"network.equivariant must be false for {self.name} with task.observation={self.observation} "
+                f"and task.static={str(self.static).lower()}, got true."
             )
         return Reflection.from_robot(self.robot)
 
@@ -63,16 +78,16 @@ class LibraryTask:
         """Return the task as it is: it brings its own reward."""
         return self
 
-    def env(self, settings: EnvSettings, seed: int) -> LibraryRobots:
-        """Make an environment of ``settings.num_envs`` robots.
+    def env(self, num_envs: int, seed: int) -> LibraryRobots:
+        """Make an environment of ``num_envs`` robots.
 
         Args:
-            settings: How many robots.
+            num_envs: How many robots.
             seed: Of the first robot's starts; the next one's is one more.
         """
-        robots = [make_robot(self.settings.library, self.name) for _ in range(settings.num_envs)]
+        robots = [make_robot(self.library, self.name) for _ in range(num_envs)]
         sensor = NodeSensor(simulator(robots[0])[0], self.robot.feet, self.robot.forward_axis)
-        env = LibraryRobots(robots, sensor, self.settings.observation, self.settings.static)
+        env = LibraryRobots(robots, sensor, self.observation, self.static)
         env.set_seed(seed)
         return env
 

@@ -87,4 +87,4 @@ class LibrarySettings(TaskSettings):
             )
         from gctd3.envs.library import LibraryTask
 
-        return LibraryTask(self, robot)
+        return LibraryTask(self.library, self.name, robot, self.history, self.observation, self.static)

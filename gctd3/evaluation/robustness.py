@@ -12,62 +12,15 @@ from tqdm import tqdm
 
 from gctd3.envs.factory import build_env
 from gctd3.envs.settings import EnvSettings
-from gctd3.errors import ConfigError, check_between
 from gctd3.evaluation.gait_metrics import SHORTEST_SWING
 from gctd3.evaluation.perturbations import Delayed, Noisy, Policy, Shoved, altered, resting_action, sensor_deviation
 from gctd3.evaluation.recorder import total_mass
 from gctd3.evaluation.rollout import evaluate
+from gctd3.evaluation.settings import Perturbations
 from gctd3.tasks.simulated_task import SimulatedTask
 
 DIRECTIONS = {"forward": 1.0, "backward": -1.0}
 AS_TRAINED = "as trained"
-
-
-@dataclass(frozen=True)
-class Perturbations:
-    """How much of what is tried.
-
-    Attributes:
-        impulses: Of the shoves, rising (N s).
-        phases: Parts of the stride, at the beginning of each of which robots are shoved.
-        starts: Shoves of each impulse, phase and direction, each in an episode of its own.
-        settle: Distance after which a robot is shoved (m).
-        recover: Time that it has to go on after that (s).
-        masses: Factors of all the robot's masses.
-        frictions: Factors of all friction.
-        delays: By which actions come late (control steps).
-        angle_noise: Standard deviation of the errors of angles (rad).
-        velocity_noise: Of angular velocities (rad/s).
-        height_noise: Of the body's height (m).
-        speed_noise: Of the body's velocity (m/s).
-    """
-
-    impulses: Sequence[float] = (4.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 40.0)
-    phases: int = 8
-    starts: int = 5
-    settle: float = 5.0
-    recover: float = 3.0
-    masses: Sequence[float] = (0.8, 1.2)
-    frictions: Sequence[float] = (0.5, 1.5)
-    delays: Sequence[int] = (1, 2)
-    angle_noise: float = 0.02
-    velocity_noise: float = 0.5
-    height_noise: float = 0.005
-    speed_noise: float = 0.05
-
-    def __post_init__(self) -> None:
-        check_between(self, 1, 1000, "phases", "starts")
-        check_between(self, 0, 1000, "settle", "angle_noise", "velocity_noise", "height_noise", "speed_noise")
-        impulses = list(self.impulses)
-        if not impulses or impulses != sorted(set(impulses)) or not impulses[0] > 0:
-            raise ConfigError(f"impulses must hold numbers above 0 that rise, got {impulses}.")
-        for name in ("masses", "frictions"):
-            if any(not factor > 0 for factor in getattr(self, name)):
-                raise ConfigError(f"{name} must hold factors above 0, got {list(getattr(self, name))}.")
-        if any(not 1 <= steps <= 1000 for steps in self.delays):
-            raise ConfigError(f"delays must hold whole numbers from 1 to 1,000, got {list(self.delays)}.")
-        if not self.recover > 0:
-            raise ConfigError(f"recover must be above 0 s, got {self.recover}.")
 
 
 @dataclass(frozen=True)

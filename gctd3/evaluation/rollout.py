@@ -12,30 +12,9 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from gctd3.data.finite import check_finite
 from gctd3.envs.robots_env import Glance
-from gctd3.errors import ConfigError, check_seed
 from gctd3.evaluation.episode import Episode
 from gctd3.evaluation.recorder import Recorder
 from gctd3.tasks.task import Task
-
-
-@dataclass(frozen=True, kw_only=True)
-class Judging:
-    """How many episodes are judged, and from where; what the settings of all commands that judge have in common.
-
-    Attributes:
-        episodes: How many, each from its own start.
-        seed: Of the starts.
-        threads: That simulate; all cores if ``None``.
-    """
-
-    episodes: int = 50
-    seed: int = 10_000
-    threads: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.episodes < 1:
-            raise ConfigError(f"episodes must be at least 1, got {self.episodes}.")
-        check_seed("seed", self.seed)
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import torch
-from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
-from gctd3.nn.actor import ACTION, NODES
 from gctd3.nn.encoder import GraphEncoder
-from gctd3.nn.network import Network
+from gctd3.nn.network import make_encoder, make_head, make_pooled_readout, make_symmetry
 from gctd3.nn.readout import PooledReadout
 from gctd3.nn.stacking import stackable_network
 from gctd3.robots.graph import KinematicGraph
 from gctd3.tasks.reflection import Reflection
+
+if TYPE_CHECKING:
+    from gctd3.nn.settings import Network
 
 VALUE = "state_action_value"
 PRIVILEGED = "counters"
@@ -48,13 +49,13 @@ class Critic(nn.Module):
         reflection: Reflection | None = None,
     ) -> None:
         super().__init__()
-        self.encoder = network.encoder(graph, in_features)
+        self.encoder = make_encoder(network, graph, in_features)
         self.head: nn.Module
         if isinstance(self.encoder, GraphEncoder) and network.readout == "joint":
-            self.head = network.pooled_readout(graph, self.encoder.width, action_dim, privileged_dim)
+            self.head = make_pooled_readout(network, graph, self.encoder.width, action_dim, privileged_dim)
         else:
-            self.head = network.head(self.encoder.out_features + action_dim + privileged_dim, 1)
-        self.symmetry = network.symmetry(reflection, in_features, action_dim, per_action=0)
+            self.head = make_head(network, self.encoder.out_features + action_dim + privileged_dim, 1)
+        self.symmetry = make_symmetry(network, reflection, in_features, action_dim, per_action=0)
 
     def forward(self, nodes: Tensor, action: Tensor, *privileged: Tensor) -> Tensor:
         """Value of ``action`` in the state ``nodes``; ``[E, *, 1]`` with parameters stacked to ``[E, ...]``."""
@@ -75,30 +76,3 @@ class Critic(nn.Module):
         codes = cast(GraphEncoder, self.encoder).codes(nodes)
         value = self.head(codes, *(x.reshape(-1, x.shape[-1]) for x in beside))
         return value if value.ndim == 3 else value.reshape(*nodes.shape[:-2], 1)
-
-
-def make_critic(
-    graph: KinematicGraph,
-    in_features: int = 10,
-    action_dim: int = 6,
-    network: Network | None = None,
-    privileged_dim: int = 0,
-    reflection: Reflection | None = None,
-) -> TensorDictModule:
-    """An action-value network.
-
-    Args:
-        graph: The robot's graph.
-        in_features: ``F``, features of a node over all stacked frames.
-        action_dim: ``A``, number of actions.
-        network: Sizes and kind; the paper's GCN by default.
-        privileged_dim: Length of ``"counters"``, which the critic then reads too; 0 for none.
-        reflection: How the robot looks in the mirror, for an equivariant network.
-
-    Returns:
-        A module that reads ``"nodes"`` ``[*, N, F]`` and ``"action"`` ``[*, A]`` and writes ``"state_action_value"``
-        ``[*, 1]``.
-    """
-    module = Critic(network or Network(), graph, in_features, action_dim, privileged_dim, reflection)
-    extra = [PRIVILEGED] if privileged_dim else []
-    return TensorDictModule(module, in_keys=[NODES, ACTION, *extra], out_keys=[VALUE])

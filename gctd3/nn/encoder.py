@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Literal, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
@@ -15,7 +15,8 @@ from gctd3.nn.layers import LayerNorm, Linear
 from gctd3.nn.stacking import stackable_layer
 from gctd3.robots.graph import KinematicGraph
 
-Mixing = Literal["local", "alternating"]
+if TYPE_CHECKING:
+    from gctd3.nn.settings import Mixing
 
 
 @stackable_layer

@@ -55,8 +55,8 @@ class StackedLoss(compat.LossHooks):
     Attributes:
         stacked: Whether the critics run as one module with parameters stacked to ``[E, ...]``. They do if every module
             of every critic is declared to take such parameters (:mod:`gctd3.nn.stacking`); otherwise TorchRL's ``vmap``
-            evaluates them, which is slower, and a :class:`.PerformanceWarning` says so when the loss is made. So it does
-            where plain versions are asked for (:mod:`gctd3.nn.kernels`).
+            evaluates them, which is slower, and a :class:`.PerformanceWarning` says so when the loss is made. So it
+            does where plain versions are asked for (:mod:`gctd3.nn.kernels`).
     """
 
     stacked = False

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from gctd3.errors import check_seed
-from gctd3.robots.graph import KinematicGraph
-from gctd3.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from gctd3.robots.graph import KinematicGraph
+    from gctd3.robots.robot import Robot
 
 
 @dataclass(frozen=True)
 class RobotSettings:
-    """Which robot, and which graph over it.
+    """Set which robot, and which graph over it.
 
     Attributes:
-        name: A shipped robot, or the path of an MJCF file; of no meaning for a library's task, which brings its own.
-        graph: Preset of :meth:`gctd3.KinematicGraph.from_robot`.
-        graph_seed: For ``graph=random``.
-        feet: Names of the bodies that may touch the ground; ``None`` for those that stand on it.
-        forward: Where the robot is to go, of the world's axes; ``None`` to find out.
+        name: Robot that ships with gctd3, or the path of an MJCF file (robot=my.xml says the same); of no meaning for a
+            library's task, which brings its own.
+        graph: Edges between its nodes: ``tree`` (the paper's), ``authors`` (the released script's), ``edgeless``,
+            ``complete`` or ``random``.
+        graph_seed: Seed of graph=random.
+        feet: Bodies (or geoms of theirs) that may touch the ground; ``None`` for those at the ends of the legs that it
+            stands on.
+        forward: Axis of the world along which it is to go: x, -x, y or -y; ``None``: along its slide, or where its left
+            and right sides are equal.
     """
 
     name: str = "biped"
@@ -38,8 +44,12 @@ class RobotSettings:
         Raises:
             RobotError: If it cannot be used.
         """
+        from gctd3.robots.robot import Robot
+
         return Robot.from_mjcf(self.name, self.feet if feet is None else feet, self.forward)
 
     def graph_of(self, robot: Robot) -> KinematicGraph:
         """Build the graph over a robot."""
+        from gctd3.robots.graph import KinematicGraph
+
         return KinematicGraph.from_robot(robot, self.graph, self.graph_seed)

@@ -4,52 +4,25 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gctd3.envs.factory import build_env
 from gctd3.evaluation.episode import LAST_METRES, Episode
-from gctd3.evaluation.robustness import Examination, Perturbations
-from gctd3.evaluation.rollout import Judging, evaluate
+from gctd3.evaluation.robustness import Examination
+from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize, why_missing
 from gctd3.files import new_file, write_text
 from gctd3.robots.robot import Robot
-from gctd3.tasks.reward import Reward
+from gctd3.runs.settings import EvaluateSettings
 from gctd3.tasks.task import check_able
 
 # Table 5 of the paper, column GCTD3. Its body position seems to count from the spawn height, 0.0235 m above standing.
 PAPER = {"return_mean": 380.0, "return_std": 18.47, "velocity_mean": 1.414, "body_position_mean": -0.0202}
 EVALUATION, TRACE = "evaluation.json", "trace.csv"
 ROBUSTNESS, ROBUSTNESS_PICTURE = "robustness.json", "robustness.png"
-
-
-@dataclass(frozen=True)
-class EvaluateSettings(Judging):
-    """What ``gctd3.evaluate`` is asked to do.
-
-    Attributes:
-        run: Directory of the run; the policy that ships with the library if ``None``.
-        reward: Under which to judge; the one that training judged by if ``None``.
-        out: Directory to write to; the run's if ``None``, nowhere if there is no run either.
-        robustness: Whether to push, load and disturb the robot, too.
-        perturbations: By how much.
-    """
-
-    run: str | None
-    reward: Reward | None = None
-    out: str | None = None
-    robustness: bool = False
-    perturbations: Perturbations = field(default_factory=Perturbations)
-
-    @property
-    def folder(self) -> Path | None:
-        """Where to write."""
-        place = self.run if self.out is None else self.out
-        return Path(place) if place is not None else None
 
 
 def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:

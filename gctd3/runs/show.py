@@ -9,46 +9,19 @@ import os
 import platform
 import socket
 import webbrowser
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 
-from gctd3.errors import ConfigError, RunError, check_between, check_seed
+from gctd3.errors import ConfigError, RunError
 from gctd3.runs.load import load_run
+from gctd3.runs.settings import ViewSettings
 from gctd3.training.checkpoint import Checkpoints
 from gctd3.training.saved_configuration import find_run
 from gctd3.viz.live_session import LiveWalk
 
 PACKAGES = ("viser", "mjviser")
 SHIPPED = "shipped with gctd3"  # what the policy in the package is called among runs
-
-
-@dataclass(frozen=True)
-class ViewSettings:
-    """What ``gctd3.view`` is asked to show.
-
-    Attributes:
-        run: Directory of the run; the policy that ships with the library if ``None``.
-        runs: Directory below which there are more to choose from in the browser.
-        seed: Of the first start.
-        endless: Whether only a fall ends the walk; otherwise the task's own endings do.
-        host: Address to listen at.
-        port: To listen at; 0 for any that is free.
-        browser: Whether to open the page in a browser of this machine.
-    """
-
-    run: str | None
-    runs: str = "runs"
-    seed: int = 10_000
-    endless: bool = True
-    host: str = "localhost"
-    port: int = 8080
-    browser: bool = True
-
-    def __post_init__(self) -> None:
-        check_seed("seed", self.seed)
-        check_between(self, 0, 65_535, "port")
 
 
 def open_walk(run: str, settings: ViewSettings) -> LiveWalk:

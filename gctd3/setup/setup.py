@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import torch
 
     from gctd3.algorithms.base import Architecture
-    from gctd3.nn import Network
+    from gctd3.nn.settings import NetworkSettings
 
 
 class Setup:
@@ -30,11 +30,10 @@ class Setup:
         ConfigError: If the networks do not fit what the task observes.
     """
 
-    def __init__(self, task: Task, network: Network, privileged_critic: bool) -> None:
+    def __init__(self, task: Task, network: NetworkSettings, privileged_critic: bool) -> None:
         self.task, self.network = task, network
         self._privileged = task.num_counters if privileged_critic else 0
-        knows_graph = network.graph_layers or network.readout != "flat" or network.equivariant
-        if knows_graph and not task.graph.kinds:
+        if network.knows_graph and not task.graph.kinds:
             raise ConfigError(
                 "task.observation must be nodes for a network that knows the robot's graph, got flat: use network=mlp."
             )

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 import sys
-
-import torch
+from typing import TYPE_CHECKING
 
 from gctd3.errors import ConfigError
+
+if TYPE_CHECKING:
+    import torch
 
 NAMES = r"cpu|cuda(:\d+)?"
 
@@ -20,6 +22,8 @@ def check_device(name: str) -> None:
 
 def check_index(name: str) -> None:
     """Raise a :class:`ConfigError` if there are GPUs here but not the one of that name."""
+    import torch
+
     index = int(name.partition(":")[2] or 0)
     if name != "cpu" and torch.cuda.is_available() and index >= torch.cuda.device_count():
         raise ConfigError(f"device={name}: there are {torch.cuda.device_count()} GPUs, counted from cuda:0.")
@@ -31,6 +35,8 @@ def pick_device(name: str) -> torch.device:
     Raises:
         ConfigError: If the name is none, or there are GPUs but not this one.
     """
+    import torch
+
     check_device(name)
     if name == "cpu":
         return torch.device("cpu")

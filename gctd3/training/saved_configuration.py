@@ -149,6 +149,8 @@ def choices(run: Path, arguments: Sequence[str]) -> list[str]:
 
 def _composed(root: str, overrides: list[str]) -> tuple[DictConfig, list[str]]:
     """What a run's overrides make, without options of one's own that are not found here: the run has what they said."""
+    # Where Hydra looks for YAMLs is for one's own command line to say: what they name is imported.
+    overrides = [item for item in overrides if not item.lstrip("+~").startswith("hydra")]
     try:
         return compose(root, overrides), overrides
     except MissingConfigException:

@@ -6,14 +6,12 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from gctd3.algorithms.base import AlgorithmSettings
-from gctd3.data.collector_settings import InlineSettings, ProcessSettings
-from gctd3.data.exploration import ExplorationSettings
-from gctd3.data.replay import ReplaySettings
+from gctd3.algorithms.settings import AlgorithmSettings
+from gctd3.data.settings import ExplorationSettings, InlineSettings, ProcessSettings, ReplaySettings
 from gctd3.envs.settings import MOST_ROBOTS, MOST_THREADS, EnvSettings
 from gctd3.envs.simulation import substeps_of
 from gctd3.errors import ConfigError, check_between, check_seed
-from gctd3.nn import Network
+from gctd3.nn.settings import NetworkSettings
 from gctd3.robots.settings import RobotSettings
 from gctd3.setup.setup import Setup
 from gctd3.tasks.reward import Reward
@@ -24,13 +22,13 @@ from gctd3.training.stop_when import StopWhen
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """How training judges its policy.
+    """Set how training judges its policy.
 
     Attributes:
         every: Frames between evaluations; there is one at the end in any case, so it may exceed the training.
         episodes: Episodes of each.
-        seed: Of their starts: the same in every evaluation, and not the training's.
-        reward: Under which they are judged.
+        seed: Seed of their starts, the same every time; not the training's.
+        reward: Reward under which they are judged.
     """
 
     reward: Reward
@@ -46,33 +44,37 @@ class EvaluationSettings:
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """Everything that a training is determined by.
+    """Set everything that a training is determined by.
 
     Attributes:
-        robot: Which robot and graph.
-        task: What is asked of it.
-        env: Where and how many of it are stepped.
-        reward: For which it trains.
-        algo: The algorithm.
-        network: Its networks.
-        exploration: How it tries things out.
-        replay: What it remembers.
-        evaluation: How it is judged.
-        stop_when: What it has to show.
-        collector: Where the robots are stepped.
-        seed: Of networks, exploration, replay and starts.
-        total_frames: Frames to collect, all robots together.
-        total_episodes: Episodes after which to end, counted as they end; ``None`` for any number.
-        time_limit: Minutes after which this session of the run ends with a checkpoint, to be continued; ``None``: none.
+        robot: Robot and graph.
+        task: What is asked of the robot.
+        env: Where and how many robots are stepped.
+        reward: Reward for which the policy trains.
+        algo: Algorithm.
+        network: Networks.
+        exploration: Warm-up and noise.
+        replay: Memory of transitions.
+        evaluation: Evaluations.
+        stop_when: Conditions on evaluations.
+        collector: Processes that step the robots.
+        seed: Seed of networks, exploration, replay and starts.
+        total_frames: Frames (control steps of single robots) to collect at most.
+        total_episodes: Episodes to train at most, counted as they end; ``None`` for any number.
+        time_limit: Time after which this session of the run ends with a checkpoint, to be continued (min); ``None``:
+            none.
         steps: Control steps of every robot between updates.
         updates: Updates after those.
-        device: That networks and replay live on, ``cpu``, ``cuda`` or ``cuda:0`` and so on; robots are on the CPU.
-        threads: Of PyTorch; its own default if ``None``.
-        logger: Where curves go, besides ``progress.csv``.
-        video: Whether policies are filmed when they are evaluated.
+        device: Device of networks and replay: cpu, cuda, cuda:1, ...; without a GPU it falls back to the CPU and says
+            so. Robots are on the CPU.
+        threads: CPU threads of PyTorch; ``None`` for as many as it likes.
+        logger: Logger of curves, besides progress.csv: csv, tensorboard, wandb, mlflow (where MLFLOW_TRACKING_URI says)
+            or none.
+        video: Film every policy that is evaluated: videos/*.mp4 in the run, and in TensorBoard, wandb or mlflow.
         keep_checkpoints: Newest checkpoints to keep, besides the best policy.
-        checkpoint_every: Seconds between them, at least; more if writing them would take over 3 % of the time.
-        resume: Directory of the run that this continues.
+        checkpoint_every: Time between checkpoints, at least (s); it grows if writing them would take over 3 % of the
+            time.
+        resume: Directory of a run to continue; other settings are then taken from it.
     """
 
     robot: RobotSettings
@@ -80,7 +82,7 @@ class TrainSettings:
     env: EnvSettings
     reward: Reward
     algo: AlgorithmSettings
-    network: Network
+    network: NetworkSettings
     exploration: ExplorationSettings
     replay: ReplaySettings
     evaluation: EvaluationSettings

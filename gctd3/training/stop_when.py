@@ -29,15 +29,16 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class StopWhen:
-    """What an evaluation has to show; it ranks policies, and can end the training.
+    """Set what an evaluation has to show; it ranks policies, and can end the training.
+
+    A policy that meets more of the conditions counts as better; among equals the higher return does.
 
     Attributes:
         at_least: Lowest values, by the name of the metric.
         at_most: Highest values, by the name of the metric.
-        evaluations: Evaluations in a row that must show all of it to end the training; ``None`` to train on.
-        restart_after: Frames without an evaluation that shows all of it after which the training begins again, with
-            new weights and an empty replay: random restarts, against seeds that settle on a bad gait. ``None`` for
-            never.
+        evaluations: Evaluations in a row that must meet all of it to end the training; ``None`` to train on.
+        restart_after: Frames without an evaluation that meets all of it after which the training begins again, with new
+            weights and an empty replay: random restarts, against seeds that settle on a bad gait. ``None`` for never.
     """
 
     at_least: Mapping[str, float] = field(default_factory=dict)

@@ -5,8 +5,6 @@ The view is from the robot's right, forward to the right, with depth drawn aslan
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -14,12 +12,11 @@ import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from gctd3.config.build import build
-from gctd3.errors import ConfigError
 from gctd3.robots.geometry import convex_hull, geom_points
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.mjcf import bodies_below, body_name, colliding_geoms
 from gctd3.robots.robot import Robot
-from gctd3.robots.settings import RobotSettings
+from gctd3.viz.settings import GraphSettings
 from gctd3.viz.svg_canvas import Disc, Picture, Point, Polygon, Words
 
 # (fill of a node, fill of a silhouette, its outline)
@@ -33,34 +30,6 @@ ASLANT = (0.55, 0.30)  # where a metre to the left goes: metres forward, metres 
 _INK = "#30343a"
 _ROW, _ROWS = 22.0, 30  # the list of names: pixels to a row, rows to a column
 _VISIBLE = 2  # MuJoCo's viewer shows geoms of the groups 0 to 2
-
-
-@dataclass(frozen=True)
-class GraphSettings:
-    """What ``gctd3.graph`` is asked to draw.
-
-    Attributes:
-        robot: Which robot and preset.
-        feet: In place of the robot's own, if not ``None``.
-        out: ``.svg`` or ``.png``; ``None`` for the table alone.
-        size: Of the robot's picture, its longer side (pixels).
-    """
-
-    robot: RobotSettings
-    feet: Sequence[str] | None = None
-    out: str | None = "graph.svg"
-    size: int = 720
-
-    def __post_init__(self) -> None:
-        if self.size < 100:
-            raise ConfigError(f"size must be at least 100, got {self.size}.")
-        if self.out is None:
-            return
-        if Path(self.out).suffix not in (".svg", ".png"):
-            raise ConfigError(f"out must end in .svg or .png, or be null, got {self.out!r}.")
-        folder = Path(self.out).absolute().parent
-        if not folder.is_dir():
-            raise ConfigError(f"out={self.out}: there is no folder {folder}.")
 
 
 def draw_graph(robot: Robot, graph: KinematicGraph, size: int = 720) -> Picture:

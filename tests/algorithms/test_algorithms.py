@@ -10,15 +10,13 @@ from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.algorithms.base import Architecture, minimize
-from gctd3.algorithms.ddpg import DDPGSettings
-from gctd3.algorithms.sac import SACSettings
-from gctd3.algorithms.td3 import TD3Settings
+from gctd3.algorithms.settings import DDPGSettings, SACSettings, TD3Settings
 from gctd3.files import load_tree, save_tree
 from gctd3.nn import Network, make_actor, make_critic
 from gctd3.robots.graph import KinematicGraph
 
 KINDS = {"td3": TD3Settings, "ddpg": DDPGSettings, "sac": SACSettings}
-GCN, MLP = Network(graph_layers=(16,), hidden=(32, 32)), Network(graph_layers=(), hidden=(32, 32))
+GCN, MLP = Network((16,), (32, 32), "none"), Network((), (32, 32), "none")
 # A graph small enough to learn on in seconds: three nodes, two features, one action.
 GRAPH = KinematicGraph.from_edges(["left", "middle", "right"], [("left", "middle"), ("middle", "right")])
 PRIVILEGED = 2

@@ -6,7 +6,8 @@ from test_report import examined, make
 
 pytest.importorskip("rliable")
 
-from gctd3.comparison.report import ReportSettings, report
+from gctd3.comparison.report import report
+from gctd3.comparison.settings import ReportSettings
 from gctd3.errors import RunError
 from gctd3.files import write_manifest
 

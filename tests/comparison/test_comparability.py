@@ -12,12 +12,13 @@ pytest.importorskip("rliable")
 
 from gctd3.comparison.comparability import check_judging, check_seeds, check_together
 from gctd3.comparison.groups import groups_of
-from gctd3.comparison.report import ReportSettings, report
+from gctd3.comparison.report import report
 from gctd3.comparison.runs import find_runs
+from gctd3.comparison.settings import ReportSettings
 from gctd3.comparison.tables import table5
 from gctd3.comparison.verdict import verdict
 from gctd3.errors import RunError
-from gctd3.evaluation.rollout import Judging
+from gctd3.evaluation.settings import Judging
 
 TD3 = {"overrides": ["algo=td3"], "change": {"algo.tau": 0.01}}
 

@@ -8,8 +8,9 @@ from test_report import make
 
 pytest.importorskip("rliable")
 
-from gctd3.comparison.report import ReportSettings, report
+from gctd3.comparison.report import report
 from gctd3.comparison.runs import find_runs, lost_runs
+from gctd3.comparison.settings import ReportSettings
 from gctd3.errors import RunError
 
 

@@ -11,8 +11,9 @@ pytest.importorskip("rliable")
 
 from gctd3.comparison.equal_time import reached, time_limit, uneven
 from gctd3.comparison.groups import groups_of
-from gctd3.comparison.report import ReportSettings, report
+from gctd3.comparison.report import report
 from gctd3.comparison.runs import find_runs
+from gctd3.comparison.settings import ReportSettings
 from gctd3.comparison.tables import equal_time
 from gctd3.comparison.verdict import verdict
 from gctd3.files import read_manifest

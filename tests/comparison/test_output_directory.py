@@ -9,7 +9,8 @@ from test_report import examined, make
 pytest.importorskip("rliable")
 
 from gctd3.comparison.output_directory import check_place, in_place
-from gctd3.comparison.report import ReportSettings, report
+from gctd3.comparison.report import report
+from gctd3.comparison.settings import ReportSettings
 
 
 @pytest.fixture

@@ -79,7 +79,8 @@ def runs(tmp_path_factory, robot):
 
 @pytest.fixture(scope="module")
 def page_file(runs):
-    from gctd3.comparison.report import ReportSettings, report
+    from gctd3.comparison.report import report
+    from gctd3.comparison.settings import ReportSettings
 
     with pytest.MonkeyPatch.context() as patch:
         # A stride is in the first seconds of a walk as well.

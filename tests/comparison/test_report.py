@@ -15,8 +15,9 @@ pytest.importorskip("rliable")
 from gctd3.comparison.comparability import check_together
 from gctd3.comparison.figures import inline
 from gctd3.comparison.groups import differences, groups_of
-from gctd3.comparison.report import ReportSettings, report
+from gctd3.comparison.report import report
 from gctd3.comparison.runs import find_runs
+from gctd3.comparison.settings import ReportSettings
 from gctd3.comparison.tables import robustness_table, runs_table, spawn_height, table5
 from gctd3.comparison.verdict import compare, too_few, verdict
 

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import pytest
 import yaml
+from configs import composed, items
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
 from gctd3.__main__ import main, script
 from gctd3.config.command_line import CONF
 from gctd3.config.help import COMMANDS, choices, help_of, keys, overview, summary
+from gctd3.config.reference import reference
 
 ROOTS = {"train": "config"}
 FILES = Path(__file__).parents[2] / "conf"
@@ -34,31 +36,36 @@ def test_every_command_is_listed():
     assert max(map(len, said.splitlines())) <= 120
 
 
-def leaves(node, prefix=""):
-    for key, value in node.items():
-        if isinstance(value, dict):
-            yield from leaves(value, f"{prefix}{key}.")
-        elif key != "_target_":
-            yield f"{prefix}{key}", value
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_has_every_key_with_its_default_and_what_it_means(command):
     plain = yaml.safe_load(file(command).read_text(encoding="utf-8"))
-    expected = dict(leaves({k: v for k, v in plain.items() if k not in ("defaults", "hydra")}))
+    defaults = {k: v for item in plain.get("defaults", []) if isinstance(item, dict) for k, v in item.items()}
+    groups = [name.rpartition("@")[2] for name in defaults if not name.startswith("override")]
+    # What Hydra composes, without what groups bring.
+    expected = {
+        key: value
+        for key, value in items(composed(root=ROOTS.get(command, command), missing=True))
+        if not isinstance(value, dict) and not any(key == group or key.startswith(f"{group}.") for group in groups)
+    }
     told = {key.name: key for key in keys(command)}
-    assert list(told) == list(expected)
+    assert set(told) == set(expected)
     said = help_of(command)
     for name, value in expected.items():
         assert told[name].value == "..." if value == "???" else yaml.safe_load(told[name].value) == value
         assert len(told[name].said) > 10 and f"  {name}={told[name].value}" in said
-    defaults = {k: v for item in plain.get("defaults", []) if isinstance(item, dict) for k, v in item.items()}
     offered = {choice.name: choice for choice in choices(command)}
     assert set(offered) == {name for name in defaults if not name.startswith("override")}
     for name, choice in offered.items():
         assert choice.value == str(defaults[name] or "null")
         options = sorted(path.stem for path in (FILES / name.split("@")[0]).glob("*.yaml"))
         assert choice.said.split(": ")[-1] == ", ".join(options)
+
+
+def test_the_reference_is_up_to_date():
+    page = (FILES.parent / "docs" / "configuration.md").read_text(encoding="utf-8")
+    assert page == reference(), "python -m gctd3.config.reference > docs/configuration.md"
+    for group, option in ((path.parent.name, path.stem) for path in FILES.glob("*/*.yaml")):
+        assert f"\n### `{group}`\n" in page and f"\n| `{option}` | " in page
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -78,14 +85,20 @@ def fresh(*arguments):
 
 
 def test_the_list_and_the_help_need_nothing_heavy():
-    for arguments in ([], ["--help"], ["render", "--help"]):
+    for arguments in ([], ["--help"], *([command, "--help"] for command in COMMANDS)):
         code = (
             f"import sys, runpy; sys.argv[1:] = {arguments}; runpy.run_module('gctd3', run_name='__main__');"
             "print([name for name in ('torch', 'hydra', 'mujoco') if name in sys.modules])"
         )
         done = fresh("-W", "error", "-c", code)
         assert done.returncode == 0 and done.stdout.endswith("[]\n") and done.stderr == "", done.stderr
-        assert summary("render") in done.stdout or "Draw" in done.stdout
+        assert summary("render") in done.stdout or "Keys (key=default):" in done.stdout
+
+
+def test_the_reference_needs_nothing_heavy():
+    code = "import sys; from gctd3.config.reference import reference; reference();"
+    code += "print([name for name in ('torch', 'hydra', 'mujoco', 'omegaconf') if name in sys.modules])"
+    assert fresh("-W", "error", "-c", code).stdout == "[]\n"
 
 
 @pytest.mark.parametrize("command", ["train", "graph"])

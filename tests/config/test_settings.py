@@ -1,22 +1,28 @@
-"""Settings: every YAML builds, and every key is explained and a setting."""
+"""Settings: every YAML builds, and every key of every YAML has a reason, differs from its default and is read."""
 
-import inspect
-import re
+import ast
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
 import yaml
 from configs import composed, items
-from hydra.utils import get_object
 
-from gctd3.algorithms.base import AlgorithmSettings
+import gctd3
+from gctd3.algorithms.settings import AlgorithmSettings, TD3Settings
 from gctd3.config.build import build
-from gctd3.envs.simulation import Start
-from gctd3.evaluation.robustness import Perturbations
-from gctd3.runs.judge import EvaluateSettings
+from gctd3.config.fields import defaults_of, describe, find, is_settings, settings_of
+from gctd3.config.help import COMMANDS, root_of
+from gctd3.config.presets import groups, presets
+from gctd3.data.settings import ExplorationSettings, InlineSettings, ReplaySettings
+from gctd3.envs.settings import Start
+from gctd3.evaluation.settings import Perturbations
+from gctd3.nn.settings import Network
+from gctd3.robots.settings import RobotSettings
+from gctd3.runs.settings import EvaluateSettings
 from gctd3.tasks.reward import Endings, Reward
 from gctd3.training.settings import TrainSettings
+from gctd3.training.stop_when import StopWhen
 
 CONF = Path(str(files("gctd3.conf")))
 ALGORITHMS, NETWORKS = (sorted(file.stem for file in (CONF / group).glob("*.yaml")) for group in ("algo", "network"))
@@ -81,64 +87,102 @@ def test_the_other_commands_build(root):
     assert getattr(build(composed(f"{key}=somewhere", root=root)), key) == "somewhere"
 
 
-def test_yaml_and_python_agree_on_the_papers_task(default):
+def test_yaml_and_python_agree(default):
     """What a library user gets by default is what a command line gets."""
+    settings = build(default)
+    assert settings.network == Network() and settings.algo == TD3Settings()
+    assert settings.exploration == ExplorationSettings() and settings.replay == ReplaySettings()
+    assert settings.collector == InlineSettings() and settings.robot == RobotSettings()
+    assert settings.env.endings == Endings() and settings.env.start == Start()
     assert build(composed("reward=paper")).reward == Reward()
-    assert build(default).env.endings == Endings()
-    assert build(default).env.start == Start()
+    assert build(composed("stop_when=never")).stop_when == StopWhen()
 
 
-# Every key is explained, and is a setting.
+def test_python_builds_the_network_that_training_does(default, graph):
+    settings = build(default)
+    sizes = {name: value.shape for name, value in gctd3.make_actor(graph).state_dict().items()}
+    trained = settings.algo.build(settings.architecture()).actor.state_dict()
+    assert sizes == {name: value.shape for name, value in trained.items()}
 
 
-def lines_of(file):
-    """Key, value and comments of each line that is ours: full key, whether it has a value, whether it is explained."""
-    path, above, block = [], False, None
-    for line in file.read_text(encoding="utf-8").splitlines():
-        match = re.match(r"( *)(\w+):\s*(.*)", line)
-        indent = len(line) - len(line.lstrip())
-        if block is not None and line.strip() and indent > block:
-            continue  # within defaults or hydra
-        if match is None:
-            above = line.strip().startswith("#") and "@package" not in line
-            continue
-        block = indent if match[2] in ("defaults", "hydra") else None
-        path = [*path[: indent // 2], match[2]]
-        value, _, comment = match[3].partition("#")
-        if block is None and match[2] != "_target_" and value.strip():
-            yield ".".join(path), above or bool(comment)
-        else:
-            above = False  # a comment above a mapping does not explain what is in it
+# Every key is explained, differs from its default, and is read.
+
+PRESETS = [preset for group in groups() if not group.startswith("hydra/") for preset in presets(group)]
+# Groups whose YAMLs still say every key.
+FULL = ("env", "reward", "robot")
 
 
-def package(file):
-    """Where the keys of a file end up: below the name of its group, or of the command."""
-    group = file.parent.name if file.parent != CONF else ""
-    everywhere = file.stem == "config" or "@package _global_" in file.read_text(encoding="utf-8")
-    return "" if everywhere else f"{group or file.stem}."
+SPARE = [preset for preset in PRESETS if preset.group not in FULL]
+
+
+def test_presets_are_read_as_yaml_reads_them():
+    found = {(preset.group, preset.name): {change.key: change.value for change in preset.changes} for preset in PRESETS}
+    assert len(found) > 40 and sum(map(len, found.values())) > 100
+    for (group, name), changes in found.items():
+        plain = yaml.safe_load((CONF / group / f"{name}.yaml").read_text(encoding="utf-8"))
+        ours = {key: value for key, value in plain.items() if key not in ("defaults", "hydra", "_target_")}
+        assert changes == {key: value for key, value in items(ours) if not isinstance(value, dict)}
 
 
 def test_every_key_has_a_comment():
-    """On its line, or above it and the keys that follow; where a file repeats a key, in the file that it is from."""
-    seen, explained = {}, set()
-    for file in CONF.rglob("*.yaml"):
-        found = list(lines_of(file))
-        plain = yaml.safe_load(file.read_text(encoding="utf-8"))
-        ours = {key: value for key, value in plain.items() if key not in ("defaults", "hydra")}
-        leaves = [key for key, value in items(ours) if not isinstance(value, dict)]
-        assert sorted(key for key, _ in found) == sorted(leaves)  # the test reads what YAML reads
-        for key, comment in found:
-            seen[package(file) + key] = file.relative_to(CONF)
-            explained |= {package(file) + key} if comment else set()
-    missing = {key: str(file) for key, file in seen.items() if key not in explained}
-    assert len(seen) > 60 and not missing
+    """On its line, or above it and the keys that follow."""
+    assert [
+        f"{preset.group}/{preset.name}: {change.key}" for preset in SPARE for change in preset.changes if not change.why
+    ] == []
+
+
+def test_what_a_preset_says_differs_from_the_default():
+    """A default that stands in a YAML too would be written twice."""
+    checked = 0
+    for preset in SPARE:
+        if preset.target is None:
+            continue
+        defaults = defaults_of(find(preset.target))
+        for change in preset.changes:
+            name, _, inner = change.key.partition(".")
+            default = defaults[name].get(inner) if inner else defaults[name]
+            assert change.value != default, f"{preset.group}/{preset.name}: {change.key}"
+            checked += 1
+    assert checked > 15
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_says_no_defaults(command):
+    plain = yaml.safe_load((CONF / f"{root_of(command)}.yaml").read_text(encoding="utf-8"))
+    ours = {key: value for key, value in plain.items() if key not in ("defaults", "hydra")}
+    assert [key for key, value in items(ours) if not isinstance(value, dict)] == []
+
+
+def attributes(tree):
+    """Names of attributes that are read, but by the checks of settings."""
+    if isinstance(tree, ast.FunctionDef) and tree.name == "__post_init__":
+        return set()
+    own = {tree.attr} if isinstance(tree, ast.Attribute) else set()
+    return own.union(*map(attributes, ast.iter_child_nodes(tree)))
+
+
+def test_every_setting_is_explained_and_read():
+    """A field that nothing but its own check reads is no setting."""
+    read, checked = set(), 0
+    for file in Path(gctd3.__file__).parent.rglob("*.py"):
+        read |= attributes(ast.parse(file.read_text(encoding="utf-8")))
+    for name in vars(gctd3)["_TARGETS"]:
+        settings = getattr(gctd3, name)
+        if not is_settings(settings):
+            continue
+        for setting in settings_of(settings):
+            assert len(setting.meaning) > 8, f"{name}.{setting.name} is not explained"
+            assert describe(setting.hint)
+            assert setting.name in read, f"nothing reads {name}.{setting.name}"
+            checked += 1
+    assert checked > 150
 
 
 @pytest.mark.parametrize("root", ["config", "evaluate", "export", "render", "report", "view"])
-def test_every_key_is_a_parameter_and_every_parameter_a_key(root):
+def test_every_key_is_a_field_and_every_field_a_key(root):
     def check(node, path=""):
         if "_target_" in node:
-            assert set(node) - {"_target_"} == set(inspect.signature(get_object(node["_target_"])).parameters), path
+            assert set(node) - {"_target_"} == set(defaults_of(find(node["_target_"]))), path
         for key, value in node.items():
             if isinstance(value, dict):
                 check(value, f"{path}.{key}")

@@ -9,8 +9,10 @@ from robots import opposite_axes
 from tensordict import TensorDict
 from torchrl.collectors import Collector
 
-from gctd3.data.exploration import ExplorationSettings, Explorer, Rhythm
-from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.data.exploration import Explorer, Rhythm
+from gctd3.data.settings import ExplorationSettings
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError
 from gctd3.nn import make_actor, make_stochastic_actor
 from gctd3.tasks.reward import Reward

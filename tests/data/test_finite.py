@@ -10,8 +10,9 @@ from torchrl.envs import Compose, Transform, TransformedEnv
 
 from gctd3.envs import dmc
 from gctd3.envs.check import CheckStep
-from gctd3.envs.factory import EnvSettings, build_env
-from gctd3.envs.simulation import BEGINNING, Simulation, Start
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings, Start
+from gctd3.envs.simulation import BEGINNING, Simulation
 from gctd3.errors import NumericalError
 from gctd3.files import load_tree, read_manifest
 from gctd3.tasks.reward import Reward

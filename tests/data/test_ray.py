@@ -13,7 +13,8 @@ import pytest
 from running import command, process, rows, tiny
 from test_process_worker import check_that_it_acts_with_the_weights_that_it_is_sent
 
-from gctd3.data.ray_cluster import RaySettings, check_alike, check_room
+from gctd3.data.ray_cluster import check_alike, check_room
+from gctd3.data.settings import RaySettings
 from gctd3.errors import ConfigError, WorkerError
 
 RAY = ["collector=ray", "collector.chunk=2"]

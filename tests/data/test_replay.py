@@ -10,10 +10,12 @@ from robots import opposite_axes
 from tensordict import TensorDict
 from torchrl.collectors import Collector
 
-from gctd3.data.exploration import ExplorationSettings, Explorer
+from gctd3.data.exploration import Explorer
 from gctd3.data.mirror_augmentation import MirrorAugmentation
-from gctd3.data.replay import ENDS, KEPT, Replay, ReplaySettings
-from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.data.replay import ENDS, KEPT, Replay
+from gctd3.data.settings import ExplorationSettings, ReplaySettings
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings
 from gctd3.envs.simulation import Simulation
 from gctd3.errors import ConfigError
 from gctd3.nn import make_actor
@@ -51,7 +53,7 @@ def episodes(terminated, truncated):
 
 def filled(storage, collected, sizes, n_step, capacity=1000, history=1, gamma=GAMMA):
     """A replay that got the collected steps in chunks of the given sizes."""
-    settings = ReplaySettings(capacity=capacity, batch_size=1, n_step=n_step, storage=storage)
+    settings = ReplaySettings(capacity=capacity, batch_size=1, n_step=n_step, mirror=False, storage=storage)
     replay = Replay(settings, gamma, history)
     for chunk in collected.split(list(sizes), dim=1):
         replay.extend(chunk.clone())
@@ -143,7 +145,8 @@ def test_a_collector_may_deliver_one_step_at_a_time(robot, graph, storage):
         torch.manual_seed(0)
         env = build_env(robot, EnvSettings(num_envs=4, threads=1, endings=Endings(time_limit=9)), Reward(), seed=0)
         explorer = Explorer(make_actor(graph), robot, 4, ExplorationSettings(warmup_frames=40))
-        replay = Replay(ReplaySettings(capacity=1000, batch_size=4, n_step=3, storage=storage), 0.9, history=5)
+        settings = ReplaySettings(capacity=1000, batch_size=4, n_step=3, mirror=False, storage=storage)
+        replay = Replay(settings, 0.9, history=5)
         collector = Collector(env, explorer, frames_per_batch=4 * steps, total_frames=4 * 24)
         for collected in collector:
             replay.extend(collected)
@@ -180,7 +183,7 @@ def test_the_oldest_leave_first(storage, newest):
 
 @pytest.mark.parametrize("storage", STORAGES)
 def test_batches_have_their_size_as_soon_as_there_is_enough(storage):
-    replay = Replay(ReplaySettings(capacity=50, batch_size=6, storage=storage), GAMMA, 1)
+    replay = Replay(ReplaySettings(capacity=50, batch_size=6, n_step=1, mirror=False, storage=storage), GAMMA, 1)
     steps = episodes(flags(2, 5), flags(2, 5))
     ready = []
     for t in range(5):
@@ -286,7 +289,7 @@ def test_only_the_second_half_of_a_batch_is_mirrored(biped, size):
 
 def test_sampling_mirrors_copies_and_not_what_is_remembered(biped):
     mirror, seen = MirrorAugmentation(biped, HISTORY), transitions(1)
-    settings = ReplaySettings(capacity=10, batch_size=4, mirror=True, storage="stacked")
+    settings = ReplaySettings(capacity=10, batch_size=4, n_step=1, mirror=True, storage="stacked")
     replay = Replay(settings, GAMMA, HISTORY, mirror)
     replay.extend(seen[:, None])
     for _ in range(3):

@@ -11,10 +11,10 @@ from running import TINY
 from tensordict import TensorDict
 
 from gctd3.config.build import build
-from gctd3.data.collector_settings import ProcessSettings
 from gctd3.data.exploration import Explorer
 from gctd3.data.inline_collector import InlineCollector
 from gctd3.data.replay import Replay
+from gctd3.data.settings import ProcessSettings
 from gctd3.data.worker import Worker
 from gctd3.data.worker_collector import WorkerCollector, cut
 from gctd3.envs.factory import EnvRecipe

@@ -9,7 +9,8 @@ import torch
 
 import gctd3
 from gctd3.deploy.policy import Policy
-from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ReadingError
 from gctd3.tasks.reward import Reward
 

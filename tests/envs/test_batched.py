@@ -9,8 +9,9 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from gctd3.envs import dmc
-from gctd3.envs.factory import EnvSettings, build_env, make_env
-from gctd3.envs.simulation import Simulation, Start, substeps_of
+from gctd3.envs.factory import build_env, make_env
+from gctd3.envs.settings import EnvSettings, Start
+from gctd3.envs.simulation import Simulation, substeps_of
 from gctd3.errors import ConfigError, NumericalError, RobotError
 from gctd3.robots.robot import Robot
 from gctd3.tasks.reward import Endings, Reward

@@ -11,8 +11,8 @@ from dm_env import StepType
 from torchrl.envs.utils import check_env_specs
 
 from gctd3.envs import dmc
-from gctd3.envs.factory import EnvSettings, build_env, make_env
-from gctd3.envs.simulation import Start
+from gctd3.envs.factory import build_env, make_env
+from gctd3.envs.settings import EnvSettings, Start
 from gctd3.tasks.reward import Endings, Reward
 from gctd3.tasks.walk import WalkingTask
 

@@ -14,8 +14,8 @@ from tensordict import TensorDict
 
 import gctd3
 from gctd3.envs.factory import build_env
-from gctd3.envs.library import LibrarySettings
 from gctd3.envs.nodes import STATIC, NodeSensor
+from gctd3.envs.settings import LibrarySettings
 from gctd3.errors import ConfigError
 from gctd3.tasks.reward import Reward
 from gctd3.training.saved_configuration import load_settings

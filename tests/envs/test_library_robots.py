@@ -8,7 +8,7 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from gctd3.envs.factory import build_env
-from gctd3.envs.library import LibrarySettings
+from gctd3.envs.settings import LibrarySettings
 from gctd3.tasks.reward import Reward
 
 SEED = 3

@@ -11,7 +11,8 @@ import torch
 from running import command, train
 from tensordict.nn import TensorDictModule
 
-from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings
 from gctd3.envs.simulation import Simulation
 from gctd3.evaluation.episode import Episode
 from gctd3.evaluation.gait_metrics import strides

@@ -8,9 +8,10 @@ import pytest
 import torch
 from running import command, rows, tiny, train
 
-from gctd3.envs.factory import EnvSettings
+from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError
-from gctd3.evaluation.robustness import DIRECTIONS, Examination, Perturbations, largest, table, weakest
+from gctd3.evaluation.robustness import DIRECTIONS, Examination, largest, table, weakest
+from gctd3.evaluation.settings import Perturbations
 from gctd3.tasks.reward import Reward
 
 FEW = Perturbations(impulses=(0.5, 300.0), phases=2, starts=3, settle=0.0, recover=0.1, masses=(1.2,), delays=(1,))

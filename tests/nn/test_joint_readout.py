@@ -81,7 +81,7 @@ def test_equal_legs_in_equal_states_act_equally():
 def test_a_pool_by_hand():
     # Two nodes, of which the second moves; at each relu(x + 10 a + 1), their mean, a counter added, times 2.
     graph = KinematicGraph.from_edges(["a", "b"], [], actuated=["b"])
-    critic = Critic(Network((), (1,), readout="joint"), graph, 1, 1, 1)
+    critic = Critic(Network((), (1,), "none", readout="joint"), graph, 1, 1, 1)
     with torch.no_grad():
         for parameter in critic.parameters():
             parameter.zero_()

@@ -190,10 +190,10 @@ def test_equals_torchrls_loss_and_gradients(graph, reflection, network):
             torch.testing.assert_close(my_gradients[name], other_gradients[name], atol=1e-4, rtol=1e-3)
 
 
-def test_the_default_is_the_papers():
+def test_the_default_is_what_training_uses_and_the_papers_has_no_norm():
     with initialize_config_module("gctd3.conf", version_base="1.3"):
-        assert build_settings(compose("config", ["experiment=paper"])).network == Network()
-        assert build_settings(compose("config")).network == Network(norm="layer")
+        assert build_settings(compose("config")).network == Network()
+        assert build_settings(compose("config", ["experiment=paper"])).network == Network(norm="none")
 
 
 @pytest.mark.parametrize("choice", CHOICES)

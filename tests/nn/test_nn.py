@@ -23,9 +23,9 @@ with warnings.catch_warnings():  # PyG scripts a class while it is imported
     from torch_geometric.nn import DenseGCNConv, GCNConv
 
 NETWORKS = {
-    "gcn": Network(),
+    "gcn": Network(norm="none"),
     "gcn, norm": Network(norm="layer"),
-    "mlp": Network(graph_layers=()),
+    "mlp": Network(graph_layers=(), norm="none"),
     "mlp, norm": Network(graph_layers=(), norm="layer"),
 }
 

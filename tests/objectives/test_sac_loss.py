@@ -39,7 +39,7 @@ def losses_and_gradients(kind, actor, critics, data):
     return out, gradients
 
 
-@pytest.mark.parametrize("network", [Network(), Network(graph_layers=(), norm="layer")])
+@pytest.mark.parametrize("network", [Network(norm="none"), Network(graph_layers=(), norm="layer")])
 @pytest.mark.parametrize("counters", [0, 4])
 def test_equal_to_torchrl(graph, network, counters):
     torch.manual_seed(0)

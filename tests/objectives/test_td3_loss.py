@@ -173,7 +173,7 @@ def test_privileged_target_by_the_networks_themselves(graph):
 
 def by_hand(**settings):
     graph = KinematicGraph(("point",), np.zeros((1, 1)))
-    network = Network(graph_layers=(), hidden=(1,))
+    network = Network(graph_layers=(), hidden=(1,), norm="none")
     actor, *critics = make_actor(graph, 1, 1, network), *(make_critic(graph, 1, 1, network) for _ in range(2))
     with torch.no_grad():
         for module in (actor, *critics):

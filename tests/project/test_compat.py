@@ -1,4 +1,4 @@
-"""gctd3.compat: every private name is still there, means what it says, and is missed with a clear error once it is gone."""
+"""gctd3.compat: every private name is there, means what it says, and is missed with a clear error once it is gone."""
 
 import queue
 
@@ -118,7 +118,8 @@ def test_critics_by_vmap_are_the_critics():
 def test_update_pairs():
     loss = make(objectives, "TD3Loss", td3_actor(), CRITICS["list"]())
     targets, sources = compat.update_pairs(SoftUpdate(loss, tau=0.5))
-    names = [{name.replace("target_", "") for name in pairs.flatten_keys(".").keys()} for pairs in (targets, sources)]
+    flat = [pairs.flatten_keys(".").keys() for pairs in (targets, sources)]
+    names = [{name.replace("target_", "") for name in keys} for keys in flat]
     assert names[0] == names[1] and len(names[0]) == 4  # weight and bias of the actor and of the critics
 
 
@@ -175,7 +176,7 @@ def test_outcomes(make_env):
     assert not bool(terminated) and not bool(truncated)
     for one in (observation, following):
         parts = env.read_obs(one)
-        assert set(parts) == {str(key) for key in env.observation_spec.keys()}
+        assert set(parts) == set(map(str, env.observation_spec.keys()))
     env.close()
 
 

@@ -1,4 +1,4 @@
-"""The extension examples: each is a stranger's package of one file and one YAML, and a training with it does what it says."""
+"""The extension examples: each is a stranger's package of one file and one YAML, trained, judged and resumed."""
 
 import os
 import re

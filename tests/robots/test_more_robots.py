@@ -9,8 +9,9 @@ from running import train
 from gctd3.data.exploration import Rhythm
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.envs.dmc import load
-from gctd3.envs.factory import EnvSettings, build_env
-from gctd3.envs.simulation import Simulation, Start
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings, Start
+from gctd3.envs.simulation import Simulation
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
 from gctd3.tasks.reward import Endings, Reward

@@ -7,7 +7,8 @@ from robots import FREE_LEGS, TWO_LEGS, write
 
 from gctd3.envs.dmc import load
 from gctd3.envs.gym import BipedVectorEnv
-from gctd3.envs.simulation import BEGINNING, Simulation, Start
+from gctd3.envs.settings import Start
+from gctd3.envs.simulation import BEGINNING, Simulation
 from gctd3.errors import RobotError
 from gctd3.evaluation.perturbations import resting_action
 from gctd3.robots.robot import Robot

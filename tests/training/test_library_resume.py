@@ -8,7 +8,7 @@ from tensordict import TensorDict
 
 from gctd3.envs.checkpointing import env_state, load_env_state
 from gctd3.envs.factory import build_env
-from gctd3.envs.library import LibrarySettings
+from gctd3.envs.settings import LibrarySettings
 from gctd3.files import load_tree, save_tree
 from gctd3.tasks.reward import Reward
 from gctd3.training.checkpoint import Checkpoints

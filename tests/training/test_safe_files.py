@@ -80,7 +80,7 @@ def test_nothing_of_a_run_is_executed(tmp_path, capsys, run):
 STRANGER = """
 import dataclasses, pathlib
 pathlib.Path({marker!r}).touch()
-from gctd3.algorithms.td3 import TD3Settings
+from gctd3.algorithms.settings import TD3Settings
 
 @dataclasses.dataclass(frozen=True)
 class Settings(TD3Settings):

@@ -11,7 +11,8 @@ import pytest
 from PIL import Image
 
 import gctd3
-from gctd3.envs.factory import EnvSettings, build_env
+from gctd3.envs.factory import build_env
+from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError
 from gctd3.robots.robot import Robot
 from gctd3.runs.judge import evaluate

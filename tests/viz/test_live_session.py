@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict.nn import TensorDictModule
 
-from gctd3.envs.factory import EnvSettings
+from gctd3.envs.settings import EnvSettings
 from gctd3.robots.robot import Robot
 from gctd3.tasks.reward import Endings
 from gctd3.viz.live_session import LiveWalk, endless

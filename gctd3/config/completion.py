@@ -1,0 +1,107 @@
+"""Complete what Hydra composes: every key that no YAML holds gets the default of the dataclass that ``_target_`` names.
+
+So a default has one home, and a YAML holds what differs from it. It happens between the last YAML and the first
+override of the command line: by then groups, robots and experiments have chosen each ``_target_``, a key that some YAML
+gives is kept, and Hydra, which closes the configuration next, accepts ``algo.tau=0.01``, refuses ``algo.tua=0.01``, and
+shows, sweeps and saves every key.
+
+Considered besides: entries of Hydra's ConfigStore, generated from the dataclasses, as the first default of each YAML.
+That is Hydra's own way, but names each class twice, gives nothing to a class from outside that is only named by the
+``_target_`` of somebody's YAML, and what is merged first cannot know which class is chosen last: nested settings of one
+would be left over under another. Prefixing unlisted keys with ``++`` would accept misspelt ones, and reach neither
+YAMLs nor sweeps.
+
+Hydra has no plug-in for that moment, so one method of its loader is wrapped here, the only place of the package that
+does so. Importing ``gctd3.conf`` does it, and Hydra cannot read ``pkg://gctd3.conf`` without importing that: so every
+process composes alike, those of a launcher and other projects' too.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from omegaconf import DictConfig, ListConfig, OmegaConf, flag_override
+
+from gctd3.config.fields import TARGET, defaults_of, find, is_settings
+from gctd3.errors import ConfigError
+
+OWN = "gctd3."
+_METHOD = "_compose_config_from_defaults_list"  # of Hydra 1.3: merges the YAMLs; overrides come after it
+_HYDRAS = "hydra"  # Hydra's own part of a configuration
+
+
+def install() -> None:
+    """Wrap Hydra's loader, so that every configuration is completed; once, however often it is called."""
+    compose = getattr(ConfigLoaderImpl, _METHOD)
+    if hasattr(compose, "__wrapped__"):
+        return
+
+    @functools.wraps(compose)
+    def completed(*arguments: Any, **named: Any) -> DictConfig:  # noqa: ANN401 - Hydra's
+        config: DictConfig = compose(*arguments, **named)
+        complete(config)
+        return config
+
+    setattr(ConfigLoaderImpl, _METHOD, completed)
+
+
+def complete(config: DictConfig | ListConfig, ours: bool = False, path: str = "") -> None:
+    """Add the keys that ``config`` lacks, in place.
+
+    Settings of gctd3's are completed, and what stands below them, whose ever it is; a project that takes some YAMLs
+    of gctd3's finds the rest of its configuration as it was.
+
+    Args:
+        config: What the YAMLs say.
+        ours: Whether it stands below settings of gctd3's.
+        path: Where it stands, for messages.
+
+    Raises:
+        ConfigError: If a ``_target_`` cannot be imported.
+    """
+    if isinstance(config, DictConfig):
+        target = _inner(config, TARGET) if _says(config, TARGET) else None
+        ours = ours or (isinstance(target, str) and target.startswith(OWN))
+        if ours and isinstance(target, str) and OmegaConf.get_type(config) is dict:
+            _add_defaults(config, target, path)
+    keys: list[Any] = list(range(len(config))) if isinstance(config, ListConfig) else list(config.keys())
+    for key in keys:
+        inner = _inner(config, key)
+        if OmegaConf.is_config(inner) and not (path == "" and key == _HYDRAS):
+            complete(inner, ours, f"{path}.{key}".lstrip("."))
+
+
+def _add_defaults(config: DictConfig, target: str, path: str) -> None:
+    try:
+        settings = find(target)
+    except ImportError as error:
+        raise ConfigError(f"{path or 'the configuration'}: _target_ {target!r} cannot be imported: {error}") from error
+    if is_settings(settings):
+        _add(config, defaults_of(settings))
+
+
+def _add(config: DictConfig, defaults: dict[str, Any]) -> None:
+    with flag_override(config, ["struct", "readonly"], False):
+        for key, default in defaults.items():
+            if not _says(config, key):
+                config[key] = default
+                continue
+            inner = _inner(config, key)
+            # Settings inside of settings, of which a YAML gives some keys and leaves the class as it is.
+            nested = isinstance(default, dict) and TARGET in default
+            if nested and isinstance(inner, DictConfig) and not _says(inner, TARGET):
+                _add(inner, default)
+
+
+def _says(config: DictConfig, key: str) -> bool:
+    """Tell whether a YAML gives the key, with or without a value; ``in`` would resolve it, and want one."""
+    return key in set(config.keys())
+
+
+def _inner(config: DictConfig | ListConfig, key: Any) -> Any:  # noqa: ANN401 - anything
+    """Get what stands there, if that can be told without resolving anything."""
+    if OmegaConf.is_missing(config, key) or OmegaConf.is_interpolation(config, key):
+        return None
+    return config[key]

@@ -1,0 +1,145 @@
+"""Read settings: the fields of a dataclass, their types, their defaults as YAML has them, and what they mean. Light.
+
+A setting's default stands in its dataclass and nowhere else, and its meaning and unit in the ``Attributes:`` of that
+dataclass's docstring. Command lines, ``--help`` and the reference all read them here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import gctd3
+
+TARGET = "_target_"
+REQUIRED = "???"  # in YAML, of a key that has no default
+_ENTRY = re.compile(r"    (?P<name>\w+): (?P<text>.*)")
+_ROLE = re.compile(r":\w+:`~?\.?(?P<name>[^`]*)`")
+_CODE = re.compile(r"``(?P<text>[^`]*)``")
+_OF_YAML = {"None": "null", "True": "true", "False": "false"}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Describe a field of a dataclass of settings.
+
+    Attributes:
+        name: The field, which is the key in YAML.
+        hint: Its type, resolved.
+        default: Its default as YAML has it; ``???`` if it must be given.
+        meaning: What it does, with its unit, from the docstring of its class.
+    """
+
+    name: str
+    hint: Any
+    default: Any
+    meaning: str
+
+
+def find(target: str) -> Any:  # noqa: ANN401 - whatever has that name
+    """Import what a ``_target_`` names.
+
+    Raises:
+        ImportError: If it cannot be imported.
+    """
+    module, _, name = str(target).rpartition(".")
+    try:
+        return getattr(import_module(module), name)
+    except Exception as error:  # what a module raises is its own
+        raise ImportError(str(error)) from error
+
+
+def is_settings(thing: object) -> typing.TypeGuard[type]:
+    """Tell whether ``thing`` is a dataclass, and not an instance of one."""
+    return isinstance(thing, type) and dataclasses.is_dataclass(thing)
+
+
+def settings_of(cls: type) -> list[Setting]:
+    """Describe the fields of a dataclass, those of its bases first."""
+    hints, said, defaults = typing.get_type_hints(cls), meanings(cls), defaults_of(cls)
+    return [Setting(name, hints[name], default, said.get(name, "")) for name, default in defaults.items()]
+
+
+def defaults_of(cls: type) -> dict[str, Any]:
+    """Give the default of every field of a dataclass, as YAML has it."""
+    found = {}
+    for field in dataclasses.fields(cls):
+        if field.default is not dataclasses.MISSING:
+            found[field.name] = in_yaml(field.default)
+        elif field.default_factory is not dataclasses.MISSING:
+            found[field.name] = in_yaml(field.default_factory())
+        elif field.init:
+            found[field.name] = REQUIRED
+    return found
+
+
+def in_yaml(value: Any) -> Any:  # noqa: ANN401
+    """Write a value as YAML has it: a list for a tuple, a mapping with its ``_target_`` for settings."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {f.name: in_yaml(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
+        return {TARGET: name_of(type(value)), **fields}
+    if isinstance(value, Mapping):
+        return {key: in_yaml(item) for key, item in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [in_yaml(item) for item in value]
+    return value
+
+
+def name_of(cls: type) -> str:
+    """Name a class as a ``_target_`` does: by its alias at the front door, if it has one."""
+    if getattr(gctd3, cls.__name__, None) is cls:
+        return f"{gctd3.__name__}.{cls.__name__}"
+    return f"{cls.__module__}.{cls.__qualname__}"
+
+
+def meanings(cls: type) -> dict[str, str]:
+    """Read what the fields of a class mean from the ``Attributes:`` of its docstring and its bases'."""
+    found: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        section = inspect.cleandoc(base.__dict__.get("__doc__") or "").partition("\nAttributes:\n")[2]
+        name = None
+        for line in section.splitlines():
+            entry = _ENTRY.fullmatch(line)
+            if entry:
+                name = entry["name"]
+                found[name] = entry["text"]
+            elif name is None or not line.startswith("     "):
+                break  # another section
+            else:
+                found[name] += " " + line.strip()
+    return found
+
+
+def in_plain_text(meaning: str) -> str:
+    """Write what a docstring says for a terminal, in the words of YAML."""
+    return _CODE.sub(lambda match: _OF_YAML.get(match["text"], match["text"]), _ROLE.sub(r"\g<name>", meaning))
+
+
+def in_markdown(meaning: str) -> str:
+    """Write what a docstring says for a page, in the words of YAML."""
+    marked = _CODE.sub(lambda match: f"`{_OF_YAML.get(match['text'], match['text'])}`", meaning)
+    return _ROLE.sub(r"`\g<name>`", marked).replace("|", "\\|")
+
+
+def describe(hint: Any) -> str:  # noqa: ANN401
+    """Say in words what a value of a type is."""
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(describe(option) for option in inner)
+    if origin is typing.Literal:
+        return "one of " + ", ".join(map(str, inner))
+    if hint in (None, type(None)):
+        return "null"
+    if origin is not None and issubclass(origin, Mapping):
+        return f"a mapping to {describe(inner[1])}"
+    if origin is not None and issubclass(origin, Sequence):
+        return f"a list of {describe(inner[0])}"
+    names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+    return names.get(hint, f"a {getattr(hint, '__name__', hint)} (a mapping with its _target_)")

@@ -1,0 +1,199 @@
+"""Settings of exploration, replay and collectors. Light: what they set is imported when it is built."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+from gctd3.errors import ConfigError, check_between
+
+if TYPE_CHECKING:
+    from gctd3.robots.robot import Robot
+
+MOST_WORKERS = 10_000
+
+
+@dataclass(frozen=True)
+class ExplorationSettings:
+    """Set the warm-up and the noise.
+
+    Attributes:
+        warmup: ``rhythmic``: a sine for every joint, left and right half a period apart (:class:`.Rhythm`);
+            ``uniform``: random actions, each held for a while.
+        warmup_frames: Frames of all robots together before the policy acts.
+        hold: Control steps for which warmup=uniform holds an action.
+        frequency: Lowest and highest frequency of warmup=rhythmic (Hz).
+        heirs: Share of warmup=rhythmic's gaits that are mutations of those that got farthest before; the rest are drawn
+            anew.
+        noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions (half a joint's
+            range), spread geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for
+            a policy that is random by itself.
+        noise_time: Correlation time of the noise of every second robot (s), an Ornstein-Uhlenbeck process
+            (arXiv:1509.02971) of the same standard deviation; 0 for white noise, as on the others.
+    """
+
+    warmup: Literal["rhythmic", "uniform"] = "rhythmic"
+    warmup_frames: int = 10_000
+    hold: int = 5
+    frequency: Sequence[float] = (1.2, 2.4)
+    heirs: float = 0.0
+    noise: Sequence[float] | None = (0.05, 0.5)
+    noise_time: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.warmup_frames < 0:
+            raise ConfigError(f"warmup_frames must be at least 0, got {self.warmup_frames}.")
+        if self.hold < 1:
+            raise ConfigError(f"hold must be at least 1, got {self.hold}.")
+        if len(self.frequency) != 2 or not 0 < self.frequency[0] <= self.frequency[1]:
+            raise ConfigError(f"frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
+        if not 0.0 <= self.heirs <= 1.0:
+            raise ConfigError(f"heirs must be between 0 and 1, got {self.heirs}.")
+        # Actions are clipped to [-1, 1]: noise beyond that is no longer noise on an action.
+        if self.noise is not None and (len(self.noise) != 2 or not 0 < self.noise[0] <= self.noise[1] <= 10):
+            raise ConfigError(f"noise must be [smallest, largest] > 0 and <= 10, or null, got {list(self.noise)}.")
+        if self.noise_time < 0:
+            raise ConfigError(f"noise_time must be at least 0 s, got {self.noise_time}.")
+
+    def check_robot(self, robot: Robot, control_dt: float) -> None:
+        """Raise a :class:`.ConfigError` if a robot cannot be moved like this.
+
+        Args:
+            robot: The robot.
+            control_dt: Control period (s).
+        """
+        if self.warmup != "rhythmic":
+            return
+        if self.frequency[1] > 0.5 / control_dt:
+            raise ConfigError(
+                f"exploration.frequency must be at most half a cycle a control step, {0.5 / control_dt:g} Hz, "
+                f"got {list(self.frequency)}."
+            )
+        # Only joints have mirror images.
+        if len(robot.actuated) != robot.model.nu:
+            raise ConfigError(
+                f"exploration.warmup must be uniform, got rhythmic: {robot.model.nu - len(robot.actuated)} of the "
+                f"{robot.model.nu} actions move no joint, and only joints have a mirror image."
+            )
+
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """Set what is remembered and how it is drawn.
+
+    Attributes:
+        capacity: Transitions kept; the oldest leave first.
+        batch_size: Transitions drawn for an update.
+        n_step: Rewards summed before the bootstrap (Sutton 1988).
+        mirror: Reflect half of every batch in the robot's sagittal plane.
+        storage: ``frames``: every frame once, stacked when drawn (:class:`.FrameBuffer`); ``stacked``: the stacks, in
+            TorchRL's buffer, at six times the memory.
+    """
+
+    capacity: int = 1_000_000
+    batch_size: int = 256
+    n_step: int = 3
+    mirror: bool = True
+    storage: Literal["frames", "stacked"] = "frames"
+
+    def __post_init__(self) -> None:
+        check_between(self, 1, 10**12, "capacity")
+        check_between(self, 1, 10**6, "batch_size")
+        check_between(self, 1, 1000, "n_step")
+        if self.batch_size > self.capacity:
+            raise ConfigError(f"batch_size must be at most capacity, got {self.batch_size} and {self.capacity}.")
+
+
+@dataclass(frozen=True)
+class InlineSettings:
+    """Collect and learn in turns, in one process; nothing to set.
+
+    Attributes:
+        chunk: Of every batch of steps, how many are collected at once.
+    """
+
+    chunk: ClassVar[int] = 1
+
+    def check_here(self, num_envs: int) -> None:
+        """Nothing of this machine matters."""
+
+
+@dataclass(frozen=True)
+class ProcessSettings:
+    """Set the processes on this machine that step their share of the robots while the learner learns.
+
+    Attributes:
+        workers: Processes, among which env.num_envs robots are divided.
+        cpus: Threads of each, for its simulation and its policy; env.threads does not count.
+        chunk: Control steps between two messages, as a multiple of steps; updates are multiplied as well.
+        patience: Time after which a worker that delivers nothing counts as hung, and is replaced (s).
+        start_within: Time that a worker may take to start (s).
+        failures: Failures of a worker in a row, without a batch in between, that are borne; at one more the run ends
+            with a checkpoint.
+    """
+
+    workers: int = 2
+    cpus: int = 1
+    chunk: int = 4
+    patience: float = 60.0
+    start_within: float = 300.0
+    failures: int = 3
+
+    def __post_init__(self) -> None:
+        check_between(self, 1, MOST_WORKERS, "workers", "chunk")
+        check_between(self, 1, 1024, "cpus")
+        check_between(self, 0, 10**6, "failures")
+        for name in ("patience", "start_within"):
+            value = getattr(self, name)
+            if not 0 < value < math.inf:
+                raise ConfigError(f"{name} must be above 0 s, got {value}.")
+
+    def check_here(self, num_envs: int) -> None:
+        """Raise a :class:`.ConfigError` if there are more workers than robots."""
+        if self.workers > num_envs:
+            raise ConfigError(
+                f"collector.workers must be at most env.num_envs = {num_envs}, got {self.workers}: "
+                "every worker steps some of the robots."
+            )
+
+    def shares(self, num_envs: int) -> list[slice]:
+        """The robots of each worker."""
+        bounds = [num_envs * i // self.workers for i in range(self.workers + 1)]
+        return [slice(start, stop) for start, stop in itertools.pairwise(bounds)]
+
+
+@dataclass(frozen=True)
+class RaySettings(ProcessSettings):
+    """Set the workers on a Ray cluster that step the robots while the learner learns.
+
+    Attributes:
+        workers: Workers, among which env.num_envs robots are divided.
+        cpus: CPUs that each takes of the cluster, for its simulation and its policy; env.threads does not count.
+        start_within: Time that a worker may take to start, waiting for free CPUs included (s).
+        address: ``host:port`` of the cluster's head node; ``auto``: the cluster that runs here; ``None``: one starts
+            here and ends with the run.
+    """
+
+    chunk: int = 8
+    address: str | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.address not in (None, "auto") and not re.fullmatch(r"[^\s:/]+:\d{1,5}", self.address or ""):
+            raise ConfigError(f"address must be host:port, auto or null, got {self.address!r}.")
+
+    def check_here(self, num_envs: int) -> None:
+        """Join the cluster, or start it, and check that it can do the work.
+
+        Raises:
+            ConfigError: If Ray is not installed, nothing answers at the address, or the CPUs do not suffice.
+            WorkerError: If the nodes have other versions of what matters than this machine.
+        """
+        super().check_here(num_envs)
+        from gctd3.data.ray_cluster import check_cluster
+
+        check_cluster(self.address, self.workers, self.cpus)

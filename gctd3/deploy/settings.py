@@ -1,0 +1,49 @@
+"""Settings of the export."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from gctd3.errors import ConfigError, check_between, check_seed
+
+NEEDED = ("onnx", "onnxscript", "onnxruntime")
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """Set what ``gctd3.export`` exports.
+
+    Attributes:
+        run: Directory of the run; ``None`` for the walking biped that ships with gctd3.
+        out: File to write. ``.onnx``: an ONNX file, and its contract as .json beside it; ``.pt2``: a file of
+            torch.export with the contract inside.
+        max_rate: Largest rate at which a desired joint angle may change on the robot (rad/s); ``None`` for 1.2 times
+            the largest change in a control step that the policy asks of each servo in simulation.
+        episodes: Episodes of that simulation, which also visits the states on which the export is compared with
+            PyTorch.
+        seed: Seed of their starts.
+        threads: CPU threads that simulate; ``None`` for all cores. Results do not depend on it.
+    """
+
+    run: str | None = None
+    out: str = "policy.onnx"
+    max_rate: float | None = None
+    episodes: int = 10
+    seed: int = 10_000
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        check_between(self, 1, 10_000, "episodes")
+        check_seed("seed", self.seed)
+        if self.max_rate is not None and not self.max_rate > 0:
+            raise ConfigError(f"max_rate must be above 0 rad/s, or null, got {self.max_rate}.")
+        file = Path(self.out)
+        if file.suffix not in (".onnx", ".pt2"):
+            raise ConfigError(f"out must end in .onnx or .pt2, got {self.out!r}.")
+        if not file.absolute().parent.is_dir():
+            raise ConfigError(f"out={self.out}: there is no folder {file.absolute().parent}.")
+        missing = [package for package in NEEDED if find_spec(package) is None]
+        if missing and file.suffix == ".onnx":
+            raise ConfigError(f"To export to .onnx needs {', '.join(missing)}: pip install 'gctd3[export]'.")

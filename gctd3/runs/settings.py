@@ -1,0 +1,114 @@
+"""Settings of the commands that take a finished run: what to judge, draw and show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gctd3.errors import ConfigError, check_between, check_seed
+from gctd3.evaluation.settings import Judging, Perturbations
+from gctd3.tasks.reward import Reward
+
+MOST_PIXELS = 16_384  # of a frame's side
+
+
+@dataclass(frozen=True)
+class EvaluateSettings(Judging):
+    """Set what ``gctd3.evaluate`` judges.
+
+    Attributes:
+        run: Directory of the run; ``None`` for the walking biped that ships with gctd3.
+        reward: Reward under which to judge; ``None`` for the one that training judged by, which is the paper's by
+            default.
+        out: Directory for evaluation.json and trace.csv; ``None`` for the run's, and nothing is written if no run is
+            given.
+        robustness: Try what the policy stands, too: shoves, other masses and floors, late actions, noise.
+        perturbations: How much of each.
+    """
+
+    run: str | None = None
+    reward: Reward | None = None
+    out: str | None = None
+    robustness: bool = False
+    perturbations: Perturbations = field(default_factory=Perturbations)
+
+    @property
+    def folder(self) -> Path | None:
+        """Where to write."""
+        place = self.run if self.out is None else self.out
+        return Path(place) if place is not None else None
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """Set what ``gctd3.render`` draws.
+
+    Attributes:
+        run: Directory of the run; ``None`` for the walking biped that ships with gctd3.
+        out: File to write. ``.png``: a sheet of frames; ``.gif``: an animation; ``.mp4``: a video, with pip install
+            'gctd3[video]'.
+        seed: Seed of the start.
+        camera: ``side`` or ``three_quarter``, or a camera of the robot's MJCF.
+        width: Width of a frame (pixels).
+        height: Height of a frame (pixels).
+        columns: Columns of the sheet.
+        rows: Rows of the sheet.
+        every: Control steps between the sheet's frames.
+        begin: Distance past the start at which the sheet begins (m).
+        speed: Speed of the animation, as a multiple of real time.
+        seconds: Time of the walk that the animation shows, from the start (s); ``None`` for all of it.
+    """
+
+    run: str | None = None
+    out: str = "walk.png"
+    seed: int = 10_000
+    camera: str = "side"
+    width: int = 320
+    height: int = 320
+    columns: int = 6
+    rows: int = 2
+    every: int = 3
+    begin: float = 7.0
+    speed: float = 1.0
+    seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        check_between(self, 1, MOST_PIXELS, "width", "height")
+        check_between(self, 1, 1000, "columns", "rows", "every")
+        check_seed("seed", self.seed)
+        check_between(self, 0.01, 100, "speed")
+        if self.seconds is not None and not self.seconds > 0:
+            raise ConfigError(f"seconds must be above 0, or null, got {self.seconds}.")
+        if Path(self.out).suffix not in (".png", ".gif", ".mp4"):
+            raise ConfigError(f"out must end in .png, .gif or .mp4, got {self.out!r}.")
+        folder = Path(self.out).absolute().parent
+        if not folder.is_dir():
+            raise ConfigError(f"out={self.out}: there is no folder {folder}.")
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """Set what ``gctd3.view`` shows.
+
+    Attributes:
+        run: Directory of the run; ``None`` for the walking biped that ships with gctd3.
+        runs: Directory below which there are more runs to choose from, in the browser.
+        seed: Seed of the first start; each further one has the next.
+        endless: ``True``: only a fall ends the walk; ``False``: the finish, the time limit and the paper's endings do
+            too.
+        host: Address to listen at; 0.0.0.0 for every machine that can reach this one: whoever can see it can steer it.
+        port: Port to listen at; 0 for any that is free.
+        browser: Open the page in a browser here, where there is a screen.
+    """
+
+    run: str | None = None
+    runs: str = "runs"
+    seed: int = 10_000
+    endless: bool = True
+    host: str = "localhost"
+    port: int = 8080
+    browser: bool = True
+
+    def __post_init__(self) -> None:
+        check_seed("seed", self.seed)
+        check_between(self, 0, 65_535, "port")
