@@ -54,9 +54,9 @@ class StackedLoss(compat.LossHooks):
 
     Attributes:
         stacked: Whether the critics run as one module with parameters stacked to ``[E, ...]``. They do if every module
-            of every critic is declared to take such parameters (:mod:`gctd3.nn.stacking`); otherwise TorchRL's ``vmap``
-            evaluates them, which is slower, and a :class:`.PerformanceWarning` says so when the loss is made. So it
-            does where plain versions are asked for (:mod:`gctd3.nn.kernels`).
+            of every critic is declared to take such parameters (:mod:`gctd3.nn.stacking`). Otherwise TorchRL's ``vmap``
+            evaluates them, which is slower, and a :class:`.PerformanceWarning` says so when the loss is made. Where
+            plain versions are asked for (:mod:`gctd3.nn.kernels`), they never do, without a warning.
     """
 
     stacked = False

@@ -1,4 +1,4 @@
-"""gctd3.compat: every private name is there, means what it says, and is missed with a clear error once it is gone."""
+"""gctd3.compat: every private name is there and means what it says, and once it is gone an error names it."""
 
 import queue
 
@@ -118,8 +118,9 @@ def test_critics_by_vmap_are_the_critics():
 def test_update_pairs():
     loss = make(objectives, "TD3Loss", td3_actor(), CRITICS["list"]())
     targets, sources = compat.update_pairs(SoftUpdate(loss, tau=0.5))
-    flat = [pairs.flatten_keys(".").keys() for pairs in (targets, sources)]
-    names = [{name.replace("target_", "") for name in keys} for keys in flat]
+    names = [
+        {name.replace("target_", "") for name in pairs.flatten_keys(".").keys(True)} for pairs in (targets, sources)
+    ]
     assert names[0] == names[1] and len(names[0]) == 4  # weight and bias of the actor and of the critics
 
 
@@ -129,7 +130,7 @@ def test_waiting_steps():
     assert compat.waiting_steps(transform) is None
     steps = data((1, 5))
     buffer.extend(steps)
-    assert compat.waiting_steps(transform).shape == (1, 2)  # the last two lack their future
+    assert compat.waiting_steps(transform).shape == (1, 3)  # as many as a window is long
     compat.set_waiting_steps(transform, None)
     assert compat.waiting_steps(transform) is None
 
@@ -176,7 +177,7 @@ def test_outcomes(make_env):
     assert not bool(terminated) and not bool(truncated)
     for one in (observation, following):
         parts = env.read_obs(one)
-        assert set(parts) == set(map(str, env.observation_spec.keys()))
+        assert set(parts) == {str(key) for key in env.observation_spec.keys(True)}
     env.close()
 
 
