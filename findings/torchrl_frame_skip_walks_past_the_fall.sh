@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Expected: FrameSkipTransform(4) repeats an action four times, or fewer if the episode ends before: what happens after a
-#   fall is not part of the episode.
+# Expected: FrameSkipTransform(4) repeats an action four times, or fewer if the episode ends before: what happens
+#   after a fall is not part of the episode.
 # Instead: it goes on stepping the ended environment and hands out the last substep's observation and end alone. A
-#   fall in the second of four substeps is not reported, the reward of the steps after it is added, and the
-#   episode has no end. The frame_skip argument of TorchRL's own GymEnv stops at the end, as expected.
+#   fall in the second of four substeps is not reported, the reward of the steps after it is added, and the episode
+#   has no end. The frame_skip argument of TorchRL's own GymEnv stops at the end, as expected.
 # Versions: torchrl 0.14.1, tensordict 0.14.3, torch 2.13.0, gymnasium 1.3.0.
 # Matters for: any robot whose fall is reported once, or that gets up, or that a penalty is paid for at every step.
 # Source: none found.

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Expected: TorchRL's GymEnv after set_seed(0) begins with the episode of Gymnasium's reset(seed=0), and its DMControlEnv
-#   with that of dm_control's suite and random=0.
+# Expected: TorchRL's GymEnv after set_seed(0) begins with the episode of Gymnasium's reset(seed=0), and its
+#   DMControlEnv with that of dm_control's suite and random=0.
 # Instead: set_seed resets once itself, unseen; the first episode that one gets is the second of that seed.
 # Versions: torchrl 0.14.1, torch 2.13.0, gymnasium 1.3.0, dm-control 1.0.50, mujoco 3.17.0.
 # Matters for: comparing runs, or recorded episodes, of TorchRL with those of another library at "the same seed".

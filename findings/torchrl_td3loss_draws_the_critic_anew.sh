@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Expected: the critic that is given to TD3Loss is the first of its two critics; it may have been trained before, or
 #   initialised with care.
-# Instead: both critics are drawn anew, each parameter uniformly between the smallest and the largest number of
-#   the given one: a pretrained critic becomes noise of the same size, biases that were 0 stay 0. Given as a list of two
+# Instead: both critics are drawn anew, each parameter uniformly between the smallest and the largest number of the
+#   given one: a pretrained critic becomes noise of the same size, biases that were 0 stay 0. Given as a list of two
 #   modules, they are kept. DDPGLoss keeps the one it is given.
 # Versions: torchrl 0.14.1, tensordict 0.14.3, torch 2.13.0.
 # Matters for: warm starts, fine-tuning on another robot, orthogonal or zero-output initialisation.
