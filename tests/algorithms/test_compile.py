@@ -6,7 +6,7 @@ import shutil
 import pytest
 import torch
 from running import rows, train
-from test_algorithms import KINDS, build, going_on
+from toy_algorithms import KINDS, build, going_on
 
 from gctd3.algorithms.base import EAGER
 

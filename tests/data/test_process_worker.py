@@ -1,6 +1,5 @@
 """Workers in processes of their own: TorchRL's collectors, killed and stopped on the way."""
 
-import copy
 import multiprocessing
 import os
 import signal
@@ -9,16 +8,10 @@ import sys
 import time
 
 import pytest
-import torch
 from running import Recorded, command, rows, tiny, train
-from tensordict import TensorDict
-from test_worker_collector import tiny_settings
-from torch import nn
+from workers import check_that_it_acts_with_the_weights_that_it_is_sent
 
-from gctd3.data.exploration import Explorer
 from gctd3.data.process_worker import ProcessWorker
-from gctd3.data.worker import Job, Policy
-from gctd3.envs.factory import EnvRecipe
 
 PROCESS = ["collector=process", "collector.chunk=2"]
 
@@ -29,30 +22,6 @@ def nobody_is_left():
     while multiprocessing.active_children() and time.monotonic() < deadline:
         time.sleep(0.1)
     return not multiprocessing.active_children()
-
-
-def check_that_it_acts_with_the_weights_that_it_is_sent(start, robot):
-    """A worker that ``start`` makes of a job; its last weights."""
-    settings = tiny_settings("exploration.warmup_frames=0", "exploration.noise=null")
-    actor = settings.algo.build(settings.architecture()).actor
-    share = slice(2, 5)
-    explorer = Explorer(copy.deepcopy(actor).requires_grad_(False), robot, 5, settings.exploration, part=share)
-    recipe = EnvRecipe(robot, settings.env, settings.reward)
-    worker, seen = start(Job(share, 7, 1, settings.batch_steps, recipe, Policy(explorer))), []
-    for scale in (0.1, 1.0):
-        for parameter in actor.parameters():
-            parameter.data.normal_(std=scale)
-        weights = TensorDict.from_module(nn.ModuleDict({"actor": actor})).data.clone()
-        batch = worker.next(weights)
-        assert batch.batch_size == (3, settings.batch_steps)
-        with torch.no_grad():
-            torch.testing.assert_close(batch["action"], actor(batch.select("nodes"))["action"])
-        seen.append(batch)
-    # The second goes on where the first ended, and has not overwritten it.
-    going = ~seen[0]["next", "done"][:, -1, 0]
-    assert going.any()
-    assert torch.equal(seen[0]["next", "nodes"][going, -1], seen[1]["nodes"][going, 0])
-    return worker, weights
 
 
 def test_a_process_acts_with_the_weights_that_it_is_sent(robot):

@@ -11,7 +11,7 @@ import time
 
 import pytest
 from running import command, process, rows, tiny
-from test_process_worker import check_that_it_acts_with_the_weights_that_it_is_sent
+from workers import check_that_it_acts_with_the_weights_that_it_is_sent
 
 from gctd3.data.ray_cluster import RaySettings, check_alike, check_room
 from gctd3.errors import ConfigError, WorkerError

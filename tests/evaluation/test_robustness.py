@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from running import command, rows, tiny, train
+from running import command, rows, tiny
 
 from gctd3.envs.factory import EnvSettings
 from gctd3.errors import ConfigError
@@ -82,8 +82,8 @@ def test_a_hard_shove_ends_what_a_soft_one_does_not(examination):
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return train(tmp_path_factory.mktemp("trained") / "run")
+def run(finished, tmp_path_factory):
+    return finished.copy("gctd3", tmp_path_factory.mktemp("trained") / "run")
 
 
 def test_the_command_tries_everything(run, capsys):

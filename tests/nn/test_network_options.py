@@ -14,8 +14,8 @@ import torch
 from hydra import compose, initialize_config_module
 from networks import NETWORKS, SIZES, randomised
 from running import rows, train
+from td3_losses import batch, build, move_targets, run
 from tensordict import TensorDict
-from test_td3_loss import batch, build, move_targets, run
 from torch import nn
 from torch.nn import functional
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss

@@ -16,7 +16,7 @@ from configs import composed, items
 from fuzzing import answered, clean, damages, fresh, tree
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from running import tiny, train
+from running import tiny
 
 from gctd3.files import load_tree, read_manifest
 from gctd3.runs.load import load_policy
@@ -27,8 +27,8 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return train(tmp_path_factory.mktemp("trained") / "run")
+def run(finished):
+    return finished["gctd3"]
 
 
 @pytest.fixture

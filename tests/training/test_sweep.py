@@ -191,8 +191,8 @@ def test_a_crashed_run_is_named_and_the_others_go_on(tmp_path, capsys):
     assert "its best policy until then counts" in said and "seed 1 (" not in said
 
 
-def test_a_run_that_was_stopped_is_named(tmp_path):
-    run = train(tmp_path / "a")
+def test_a_run_that_was_stopped_is_named(finished, tmp_path):
+    run = finished.copy("gctd3", tmp_path / "a")
     assert find_runs(run)[0].trouble is None
     OmegaConf.save(
         {**OmegaConf.load(run / ".hydra" / "config.yaml"), "total_frames": 2400}, run / ".hydra" / "config.yaml"
