@@ -23,6 +23,7 @@ RUNS = {
     "td3 seed 1": (["algo=td3", "seed=1"], ()),
     "ddpg": (["algo=ddpg"], ()),
     "sac": (["algo=sac"], ()),
+    "quadruped": (["algo=gctd3", "robot=quadruped"], ()),
     "dm_control": (["algo=gctd3", "env.backend=dm_control"], ()),
     "library": (
         ["algo=gctd3", *LIBRARY],

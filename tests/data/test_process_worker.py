@@ -43,6 +43,7 @@ class Struck(Recorded):
                 os.kill(self.collector._slots[number].worker.pid, fault)
 
 
+@pytest.mark.nightly
 def test_workers_that_die_or_hang_are_replaced_and_the_training_ends_well(tmp_path, capsys):
     # Its robots begin to walk at once, so that most of the time is the processes' start.
     run = tmp_path / "run"
@@ -58,7 +59,7 @@ def test_workers_that_die_or_hang_are_replaced_and_the_training_ends_well(tmp_pa
     assert nobody_is_left()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_same_seed_gives_the_same_run_and_a_resumed_one_ends(tmp_path):
     first, second = (train(tmp_path / name, *PROCESS) for name in ("first", "second"))
     assert rows(first, drop=["wall_s"]) == rows(second, drop=["wall_s"])
@@ -67,7 +68,7 @@ def test_the_same_seed_gives_the_same_run_and_a_resumed_one_ends(tmp_path):
     assert rows(first, drop=["wall_s"])[:3] == rows(second, drop=["wall_s"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)])
 def test_a_signal_to_all_processes_leaves_a_checkpoint_and_nobody_behind(tmp_path, number, code):
     run = tmp_path / "run"

@@ -196,7 +196,11 @@ def test_the_default_is_the_papers():
         assert build_settings(compose("config")).network == Network(norm="layer")
 
 
-@pytest.mark.parametrize("choice", CHOICES)
+# A readout of another shape and weights that are tied; the others differ in their layers only.
+QUICK = ("per_joint", "equivariant")
+
+
+@pytest.mark.parametrize("choice", [pytest.param(c, marks=[pytest.mark.nightly] * (c not in QUICK)) for c in CHOICES])
 def test_trains(tmp_path, choice):
     run = train(tmp_path / "run", "algo=gctd3", f"network={choice}", "total_frames=120")
     assert int(rows(run)[-1]["updates"]) > 0 and len(CHOICES) >= 5

@@ -1,6 +1,6 @@
 """Whatever a command or a file says: success, or one clean error. No hang, no crash, nothing written elsewhere.
 
-A fast part by default; the long form with ``pytest -m slow tests/project/test_fuzz.py``.
+A fast part by default; the long form with ``pytest -m nightly tests/project/test_fuzz.py``.
 """
 
 import re
@@ -196,7 +196,7 @@ def cases(count):
 
 def both(fast, long):
     """Marks of the fast and the long form."""
-    return pytest.mark.parametrize("count", [fast, pytest.param(long, marks=pytest.mark.slow)])
+    return pytest.mark.parametrize("count", [fast, pytest.param(long, marks=pytest.mark.nightly)])
 
 
 @both(15, 350)

@@ -125,6 +125,7 @@ def beside(directory, *overrides, **changed):
     return subprocess.Popen(module, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
+@pytest.mark.nightly
 def test_ctrl_c_reaches_runs_side_by_side_and_the_sweep_goes_on_later(tmp_path):
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
     long = {"total_frames": 2000, "evaluation.every": 400, "checkpoint_every": 1000}
