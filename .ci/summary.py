@@ -1,6 +1,6 @@
 """Say in a page what came of a test run: when, of which commit, where, how many tests, and why some were skipped.
 
-    python .ci/summary.py RESULTS.xml SECONDS
+python .ci/summary.py RESULTS.xml SECONDS
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ def summary(results: str, seconds: int) -> str:
         f"{seconds // 60} min {seconds % 60} s",
     ]
     lines += ["", "Failed:", *outcomes["failed"]] if failed else []
-    lines += ["", "Skipped, by reason:", *(f"{count:4d}  {why}" for why, count in reasons.most_common())] if left else []
+    lines += (
+        ["", "Skipped, by reason:", *(f"{count:4d}  {why}" for why, count in reasons.most_common())] if left else []
+    )
     return "\n".join(lines)
 
 

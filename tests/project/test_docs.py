@@ -120,6 +120,7 @@ def test_every_line_of_readme_is_accounted_for():
     assert not strange and len(PARTS) >= 15
     written = (ROOT / ".ci/run").read_text(encoding="utf-8")
     assert 'pip install -q -e ".[test]"' in written and "\npytest\n" in written
+    assert "\npytest -m nightly " in (ROOT / ".ci/nightly").read_text(encoding="utf-8")
 
 
 LINES = [part for part in PARTS if part.startswith("python")]
