@@ -19,7 +19,7 @@ from torch import nn
 import gctd3
 from gctd3.algorithms.adam import Adam
 from gctd3.algorithms.base import Architecture
-from gctd3.algorithms.td3 import TD3Settings
+from gctd3.algorithms.settings import TD3Settings
 from gctd3.nn import Network, kernels
 
 BATCH, CALLS, ROBOTS, HISTORY = 256, 5, 32, 5

@@ -1,7 +1,9 @@
-"""What the tests share: the paper's robot, its graph and its task, and settings that make every run the same."""
+"""What the tests share: the paper's robot, its graph and its task, finished runs, and settings that make every run the
+same."""
 
 import pytest
 import torch
+from finished import Finished
 from hypothesis import settings
 from running import command
 
@@ -34,6 +36,21 @@ def graph(robot):
 @pytest.fixture(scope="session")
 def task(robot):
     return WalkingTask(robot)
+
+
+@pytest.fixture(scope="session")
+def finished(request, tmp_path_factory):
+    """Finished tiny runs by name: ``finished["gctd3"]`` to be read, ``finished.copy("gctd3", to)`` to be changed."""
+    folder = tmp_path_factory.getbasetemp()
+    # The processes of pytest-xdist have folders of their own in the session's.
+    folder = folder.parent if hasattr(request.config, "workerinput") else folder
+    return Finished(folder / "finished")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _shared_runs_are_left_alone(finished):
+    yield
+    finished.check()
 
 
 @pytest.fixture(scope="session")

@@ -9,9 +9,7 @@ from torchrl.data import Bounded
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
 from gctd3.algorithms.base import Architecture
-from gctd3.algorithms.ddpg import DDPGSettings
-from gctd3.algorithms.sac import SACSettings
-from gctd3.algorithms.td3 import TD3Settings
+from gctd3.algorithms.settings import DDPGSettings, SACSettings, TD3Settings
 from gctd3.nn import Network
 
 

@@ -6,7 +6,7 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Literal
 
 from gctd3.errors import ConfigError
 
@@ -30,8 +30,9 @@ class NetworkSettings(ABC):
         knows_graph: Whether they need a graph of the robot, and not just the numbers that its nodes sense.
     """
 
-    equivariant: ClassVar[bool] = False
-    knows_graph: ClassVar[bool] = False
+    # Without annotations, which would make fields of them, the first ones of every subclass.
+    equivariant = False
+    knows_graph = False
 
     @abstractmethod
     def actor(
@@ -106,7 +107,7 @@ class Network(NetworkSettings):
     chebyshev: int | None = None
     mixing: Mixing = "local"
     readout: Literal["flat", "joint"] = "flat"
-    equivariant: bool = False  # type: ignore[misc]
+    equivariant: bool = False
 
     def __post_init__(self) -> None:
         for name, sizes in (("graph_layers", self.graph_layers), ("hidden", self.hidden)):

@@ -6,7 +6,7 @@ import shutil
 import pytest
 import torch
 from running import rows, train
-from test_algorithms import KINDS, build, going_on
+from toy_algorithms import KINDS, build, going_on
 
 from gctd3.algorithms.base import EAGER
 
@@ -26,7 +26,8 @@ def updated(name, compiled):
     return algorithm, metrics
 
 
-@pytest.mark.parametrize("name", KINDS)
+# Tracing takes long; what of it depends on the algorithm is its losses.
+@pytest.mark.parametrize("name", [pytest.param(kind, marks=[pytest.mark.nightly] * (kind != "td3")) for kind in KINDS])
 def test_traced_losses_update_as_they_are(name, monkeypatch):
     """Traced as for the compiler, and then run as they are: bit for bit the same."""
     traced, compiler = [], torch.compile
@@ -48,7 +49,7 @@ def test_traced_losses_update_as_they_are(name, monkeypatch):
         assert torch.equal(value, second[key]), key
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(not any(map(shutil.which, ("g++", "clang++"))), reason="torch.compile needs a C++ compiler")
 @pytest.mark.parametrize("name", ["gctd3", "sac"])
 def test_a_compiled_training(tmp_path, name, monkeypatch):

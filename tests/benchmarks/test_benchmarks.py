@@ -245,6 +245,7 @@ def test_stock_torchrl_trains_and_is_judged(tmp_path):
     assert json.loads((tmp_path / "recipe.json").read_text())["batch_size"] == 16
 
 
+@pytest.mark.nightly
 def test_stable_baselines3_trains_and_is_judged(tmp_path):
     pytest.importorskip("stable_baselines3")
     peers = importlib.import_module("peers")

@@ -45,6 +45,7 @@ def test_a_rate_leaves_the_first_call_out(scale_out, monkeypatch):
     assert len(calls) == 3
 
 
+@pytest.mark.nightly
 def test_a_small_run_measures_and_is_sized_again_from_its_file(scale_out, tmp_path, monkeypatch, capsys):
     few = {
         key: TINY[key] for key in ("env.num_envs", "threads", "replay.batch_size", "replay.capacity", "network.hidden")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 from configs import composed
+from counterparts import parameters
 from gymnasium.utils import seeding
 from scipy import stats
-from test_yardstick_updates import parameters
 
 from gctd3.config.build import build
 from gctd3.data.exploration import Explorer

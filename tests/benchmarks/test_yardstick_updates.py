@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import pytest
 import torch
 from configs import composed
+from counterparts import parameters
 from scipy import stats
 from tensordict import TensorDict
-from torch import nn
 
 from gctd3.config.build import build
 
@@ -44,36 +44,6 @@ def sides(recipe, algo):
     algorithm, model = ours.algo.build(ours.architecture()), recipe.theirs(algo, "halfcheetah", values, seed=0)
     model.set_logger(Logger(None, []))
     return algorithm, model
-
-
-def parameters(algorithm, model):
-    """By name: a parameter of ours, those of theirs that hold the same numbers, and how these are put together."""
-    found = {}
-
-    def add(name, params, layers, join):
-        mine = [value for _, value in sorted(params.flatten_keys(".").items())]  # of each layer the bias, the weight
-        theirs = [[getattr(part, kind) for part in layer] for layer in layers for kind in ("bias", "weight")]
-        found.update({f"{name}.{i}": (*pair, join) for i, pair in enumerate(zip(mine, theirs, strict=True))})
-
-    loss, twins = algorithm.loss, len(model.critic.q_networks) == 2
-    critic = "qvalue_network_params" if twins else "value_network_params"
-    for prefix, critics in (("", model.critic), ("target_", model.critic_target)):
-        layers = list(zip(*map(linear, critics.q_networks), strict=True))
-        add(f"{prefix}critic", getattr(loss, prefix + critic), layers, torch.stack if twins else torch.cat)
-    if hasattr(loss, "log_alpha"):
-        # One layer of ours gives mean and deviation, two of theirs.
-        layers = [*([layer] for layer in linear(model.actor.latent_pi)), [model.actor.mu, model.actor.log_std]]
-        add("actor", loss.actor_network_params, layers, torch.cat)
-        found["alpha"] = loss.log_alpha, [model.log_ent_coef], lambda values: values[0].squeeze()
-    else:
-        for prefix, actor in (("", model.actor), ("target_", model.actor_target)):
-            layers = [[layer] for layer in linear(actor.mu)]
-            add(f"{prefix}actor", getattr(loss, f"{prefix}actor_network_params"), layers, torch.cat)
-    return found
-
-
-def linear(network):
-    return [layer for layer in network if isinstance(layer, nn.Linear)]
 
 
 def optimisers(algorithm, model):

@@ -208,6 +208,7 @@ def yardsticks(tmp_path, monkeypatch):
     return call
 
 
+@pytest.mark.nightly
 def test_trains_both_and_goes_on_where_it_stopped(yardsticks, tmp_path, monkeypatch, capsys):
     written = yardsticks(sides="gctd3")
     assert [run["side"] for run in written["runs"]] == ["gctd3"] and written["comparisons"] == []

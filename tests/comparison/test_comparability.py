@@ -5,8 +5,8 @@ import re
 import shutil
 
 import pytest
-from running import command, train
-from test_report import make
+from made_up_runs import make
+from running import command
 
 pytest.importorskip("rliable")
 
@@ -80,10 +80,10 @@ def test_what_does_not_say_how_it_was_judged_goes_with_its_like_only(tmp_path):
     assert f"run={tmp_path / 'a1'} episodes=20 seed=5" in str(error.value)
 
 
-def test_what_is_judged_now_has_to_be_judged_as_the_rest_was(tmp_path, monkeypatch, capsys):
+def test_what_is_judged_now_has_to_be_judged_as_the_rest_was(finished, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    for seed in range(2):
-        train(tmp_path / "runs" / str(seed), f"seed={seed}")
+    for seed, name in enumerate(["gctd3", "gctd3 seed 1"]):
+        finished.copy(name, tmp_path / "runs" / str(seed))
     assert command("evaluate", "run=runs/0", "episodes=2", "seed=5", "threads=1") == 0
     # It has no policy, so nothing will judge it.
     make(tmp_path / "runs", "a2", evaluation=False)

@@ -3,8 +3,8 @@
 import re
 
 import pytest
+from made_up_runs import make
 from running import command
-from test_report import make
 
 pytest.importorskip("rliable")
 

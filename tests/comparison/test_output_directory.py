@@ -3,8 +3,8 @@
 import shutil
 
 import pytest
+from made_up_runs import examined, make
 from running import command
-from test_report import examined, make
 
 pytest.importorskip("rliable")
 

@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 import pytest
 from browsers import chromium
+from made_up_runs import examined, make
 from omegaconf import OmegaConf
-from test_report import examined, make
 
 from gctd3.errors import RenderError
 from gctd3.training.saved_configuration import CONFIG, find_run

@@ -1,13 +1,13 @@
 """The report: on hand-made runs with known answers, and from tiny trainings to the page."""
 
 import csv
-import json
 import re
 import xml.etree.ElementTree as ElementTree
 from itertools import combinations
 
 import pytest
-from running import command, tiny, train
+from made_up_runs import examined, make
+from running import command
 
 from gctd3.errors import RunError
 
@@ -48,35 +48,6 @@ def test_how_many_seeds_it_takes_is_what_shuffling_them_says(ours, theirs):
 
 
 # Runs that are made up.
-
-
-def make(root, name, returns=500.0, *, overrides=(), evaluation=True, change=None, success=1.0):
-    """A run as gctd3.train leaves it, without its policy."""
-    run = root / name
-    config = {
-        "seed": int(name[-1]),
-        "threads": int(name[-1]),
-        "robot": {"name": "biped", "feet": None, "forward": None, "graph": "tree"},
-        "env": {"_target_": "gctd3.EnvSettings", "control_dt": 0.02, "endings": {"fall_height": -0.1}},
-        "evaluation": {"reward": {"fall": 10.0}, "episodes": 10},
-        "algo": {"tau": 0.005},
-    }
-    for key, value in (change or {}).items():
-        *path, last = key.split(".")
-        node = config
-        for part in path:
-            node = node[part]
-        node[last] = value
-    (run / ".hydra").mkdir(parents=True)
-    (run / ".hydra" / "config.yaml").write_text(json.dumps(config))
-    (run / ".hydra" / "overrides.yaml").write_text(json.dumps(list(overrides)))
-    lines = ["frames,wall_s,return_mean,success_rate,train_episodes", f"1000,60,5.0,0.0,7\n2000,120,{returns},1.0,9\n"]
-    (run / "progress.csv").write_text("\n".join(lines))
-    if evaluation:
-        judged = {"return_mean": returns, "velocity_mean": 1.2, "success_rate": success, "body_position_mean": 0.01}
-        judged["gait"] = {"episodes": 50, "flight_fraction": 0.25, "floquet_max": None, "asymmetry_hip_right": 0.02}
-        (run / "evaluation.json").write_text(json.dumps(judged))
-    return run
 
 
 @pytest.fixture
@@ -147,17 +118,6 @@ def test_failed_seeds_are_counted(tmp_path, capsys):
     )
     assert "2 of 3" in text and "failed: " in text
     assert "evaluating" in capsys.readouterr().err
-
-
-def examined(run, success, impulses, phases=(4.0, 2.0)):
-    """What ``robustness=true`` leaves."""
-    found = {
-        "perturbations": {"impulses": impulses, "starts": 3, "recover": 3.0},
-        "mass_kg": 10.0,
-        "conditions": {"as trained": {"success_rate": 1.0}, "mass +20 %": {"success_rate": success}},
-        "shoves": {"largest": {"forward": list(phases), "backward": [None, 4.0]}},
-    }
-    (run / "robustness.json").write_text(json.dumps(found))
 
 
 def test_robustness_of_made_up_runs(pair, tmp_path):
@@ -253,11 +213,11 @@ def test_inline_figures_take_the_pages_colour_and_have_ids_of_their_own():
     assert "currentColor" in found and "#010203" not in found
 
 
-def test_from_trainings_to_the_page(tmp_path, monkeypatch, capsys):
+def test_from_trainings_to_the_page(finished, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for algorithm in ("gctd3", "td3"):
-        for seed in range(2):
-            train(tmp_path / "runs" / algorithm / str(seed), f"algo={algorithm}", f"seed={seed}")
+        finished.copy(algorithm, tmp_path / "runs" / algorithm / "0")
+        finished.copy(f"{algorithm} seed 1", tmp_path / "runs" / algorithm / "1")
     assert command("report", "runs=runs", "out=out", "episodes=2", "threads=1") == 0
     assert "Written to out/index.html" in capsys.readouterr().out
     assert all((tmp_path / "runs" / a / s / "evaluation.json").is_file() for a in ("gctd3", "td3") for s in "01")
@@ -289,12 +249,8 @@ def test_from_trainings_to_the_page(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "again" / "index.html").read_text(encoding="utf-8") == text
 
 
-def test_a_report_on_another_librarys_task(tmp_path, monkeypatch):
+def test_a_report_on_another_librarys_task(finished, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    few = ["total_frames=40", "exploration.warmup_frames=20", "evaluation.every=40", "evaluation.episodes=1"]
-    names = [item.split("=")[0] for item in few]
-    run = tmp_path / "runs" / "a"
-    arguments = tiny(run, "env=walker_walk", "env.num_envs=2", *few, without=["env.threads", "env.num_envs", *names])
-    assert command("train", *arguments) == 0
+    finished.copy("library", tmp_path / "runs" / "a")
     assert command("report", "runs=runs", "out=out", "episodes=1") == 0
-    assert "walker-walk" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    assert "Walker2d-v5" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")

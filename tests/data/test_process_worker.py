@@ -1,6 +1,5 @@
 """Workers in processes of their own: TorchRL's collectors, killed and stopped on the way."""
 
-import copy
 import multiprocessing
 import os
 import signal
@@ -9,16 +8,10 @@ import sys
 import time
 
 import pytest
-import torch
 from running import Recorded, command, rows, tiny, train
-from tensordict import TensorDict
-from test_worker_collector import tiny_settings
-from torch import nn
+from workers import check_that_it_acts_with_the_weights_that_it_is_sent
 
-from gctd3.data.exploration import Explorer
 from gctd3.data.process_worker import ProcessWorker
-from gctd3.data.worker import Job, Policy
-from gctd3.envs.factory import EnvRecipe
 
 PROCESS = ["collector=process", "collector.chunk=2"]
 
@@ -29,30 +22,6 @@ def nobody_is_left():
     while multiprocessing.active_children() and time.monotonic() < deadline:
         time.sleep(0.1)
     return not multiprocessing.active_children()
-
-
-def check_that_it_acts_with_the_weights_that_it_is_sent(start, robot):
-    """A worker that ``start`` makes of a job; its last weights."""
-    settings = tiny_settings("exploration.warmup_frames=0", "exploration.noise=null")
-    actor = settings.algo.build(settings.architecture()).actor
-    share = slice(2, 5)
-    explorer = Explorer(copy.deepcopy(actor).requires_grad_(False), robot, 5, settings.exploration, part=share)
-    recipe = EnvRecipe(robot, settings.env, settings.reward)
-    worker, seen = start(Job(share, 7, 1, settings.batch_steps, recipe, Policy(explorer))), []
-    for scale in (0.1, 1.0):
-        for parameter in actor.parameters():
-            parameter.data.normal_(std=scale)
-        weights = TensorDict.from_module(nn.ModuleDict({"actor": actor})).data.clone()
-        batch = worker.next(weights)
-        assert batch.batch_size == (3, settings.batch_steps)
-        with torch.no_grad():
-            torch.testing.assert_close(batch["action"], actor(batch.select("nodes"))["action"])
-        seen.append(batch)
-    # The second goes on where the first ended, and has not overwritten it.
-    going = ~seen[0]["next", "done"][:, -1, 0]
-    assert going.any()
-    assert torch.equal(seen[0]["next", "nodes"][going, -1], seen[1]["nodes"][going, 0])
-    return worker, weights
 
 
 def test_a_process_acts_with_the_weights_that_it_is_sent(robot):
@@ -74,6 +43,7 @@ class Struck(Recorded):
                 os.kill(self.collector._slots[number].worker.pid, fault)
 
 
+@pytest.mark.nightly
 def test_workers_that_die_or_hang_are_replaced_and_the_training_ends_well(tmp_path, capsys):
     # Its robots begin to walk at once, so that most of the time is the processes' start.
     run = tmp_path / "run"
@@ -89,7 +59,7 @@ def test_workers_that_die_or_hang_are_replaced_and_the_training_ends_well(tmp_pa
     assert nobody_is_left()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_same_seed_gives_the_same_run_and_a_resumed_one_ends(tmp_path):
     first, second = (train(tmp_path / name, *PROCESS) for name in ("first", "second"))
     assert rows(first, drop=["wall_s"]) == rows(second, drop=["wall_s"])
@@ -98,7 +68,7 @@ def test_the_same_seed_gives_the_same_run_and_a_resumed_one_ends(tmp_path):
     assert rows(first, drop=["wall_s"])[:3] == rows(second, drop=["wall_s"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)])
 def test_a_signal_to_all_processes_leaves_a_checkpoint_and_nobody_behind(tmp_path, number, code):
     run = tmp_path / "run"

@@ -11,7 +11,7 @@ import time
 
 import pytest
 from running import command, process, rows, tiny
-from test_process_worker import check_that_it_acts_with_the_weights_that_it_is_sent
+from workers import check_that_it_acts_with_the_weights_that_it_is_sent
 
 from gctd3.data.ray_cluster import check_alike, check_room
 from gctd3.data.settings import RaySettings
@@ -108,7 +108,7 @@ def kill_session(leader):
 
 
 @needs_ray
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_worker_on_ray_acts_with_the_weights_that_it_is_sent(robot):
     import ray
 
@@ -144,7 +144,7 @@ train.main()
 
 
 @needs_ray
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_cluster_starts_by_itself_and_its_workers_are_replaced(tmp_path):
     run = tmp_path / "run"
     code = STRIKING.format(arguments=tiny(run, *RAY, "collector.patience=10"))
@@ -159,7 +159,7 @@ def test_a_cluster_starts_by_itself_and_its_workers_are_replaced(tmp_path):
 
 
 @needs_ray
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_running_cluster_is_joined_and_its_end_leaves_a_checkpoint(tmp_path, head):
     node, address = head(2)
     run = tmp_path / "run"
@@ -186,7 +186,7 @@ def test_a_running_cluster_is_joined_and_its_end_leaves_a_checkpoint(tmp_path, h
 
 
 @needs_ray
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("wrong", ["too few CPUs", "another version", "no Ray"])
 def test_an_unfit_cluster_is_refused_with_its_reason(tmp_path, head, wrong):
     other = tmp_path / "site" / "mujoco-0.0.1.dist-info"

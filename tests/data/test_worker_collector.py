@@ -6,11 +6,10 @@ from typing import ClassVar
 
 import pytest
 import torch
-from hydra import compose, initialize_config_module
 from running import TINY
 from tensordict import TensorDict
+from workers import ROBOTS, STEPS, tiny_settings
 
-from gctd3.config.build import build
 from gctd3.data.exploration import Explorer
 from gctd3.data.inline_collector import InlineCollector
 from gctd3.data.replay import Replay
@@ -19,14 +18,6 @@ from gctd3.data.worker import Worker
 from gctd3.data.worker_collector import WorkerCollector, cut
 from gctd3.envs.factory import EnvRecipe
 from gctd3.errors import ConfigError, WorkerError
-
-ROBOTS, STEPS = 5, 4
-
-
-def tiny_settings(*overrides):
-    with initialize_config_module("gctd3.conf", version_base="1.3"):
-        few = {**TINY, "env.num_envs": ROBOTS, "collector.chunk": STEPS, "collector.workers": 2}
-        return build(compose("config", ["collector=process", *[f"{k}={v}" for k, v in few.items()], *overrides]))
 
 
 class Near(Worker):

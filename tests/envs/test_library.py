@@ -26,7 +26,13 @@ WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episod
 
 
 @pytest.mark.parametrize(
-    "env, nodes, actions", [("walker_walk", 9, 6), ("walker2d", 9, 6), ("halfcheetah", 9, 6), ("ant", 15, 8)]
+    "env, nodes, actions",
+    [
+        ("walker_walk", 9, 6),
+        ("walker2d", 9, 6),
+        pytest.param("halfcheetah", 9, 6, marks=pytest.mark.nightly),
+        pytest.param("ant", 15, 8, marks=pytest.mark.nightly),
+    ],
 )
 def test_trains_and_evaluates(tmp_path, env, nodes, actions, capsys):
     run = train(tmp_path / "run", "algo=gctd3", f"env={env}", *FEW, without=WITHOUT)

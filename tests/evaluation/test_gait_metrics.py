@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from contacts import signal, square
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,18 +13,8 @@ from gctd3.evaluation.gait_metrics import correlation, debounce, stride_frequenc
 DT = 0.02
 
 
-def signal(text):
-    """A contact signal: ``#`` is down, ``.`` is up."""
-    return np.array([mark == "#" for mark in text.replace(" ", "")])
-
-
 def marks(contact):
     return "".join("#" if down else "." for down in contact)
-
-
-def square(period, steps, duty=0.6, shift=0):
-    """Down for ``duty`` of every ``period`` samples."""
-    return (np.arange(steps) + shift) % period < duty * period
 
 
 # Correlation.

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from test_gait_metrics import signal, square
+from contacts import signal, square
 
 from gctd3.evaluation.gait_metrics import (
     DROPPED,

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from running import command, train
+from running import command
 from tensordict.nn import TensorDictModule
 
 from gctd3.envs.factory import build_env
@@ -280,9 +280,9 @@ def test_episodes_are_recorded_as_long_as_they_last(robot):
         trace(plain.typical, robot, DT)
 
 
-def test_evaluation_writes_gait_and_trace(tmp_path, monkeypatch, capsys):
+def test_evaluation_writes_gait_and_trace(finished, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    run = train(tmp_path / "run")
+    run = finished.copy("gctd3", tmp_path / "run")
     assert command("evaluate", f"run={run}", "episodes=2", "threads=1") == 0
     report = json.loads((run / "evaluation.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
     assert report["gait"] == {} and report["reward"]["fall"] == 10.0

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from running import command, rows, tiny, train
+from running import command
 
 from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError
@@ -83,8 +83,8 @@ def test_a_hard_shove_ends_what_a_soft_one_does_not(examination):
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return train(tmp_path_factory.mktemp("trained") / "run")
+def run(finished, tmp_path_factory):
+    return finished.copy("gctd3", tmp_path_factory.mktemp("trained") / "run")
 
 
 def test_the_command_tries_everything(run, capsys):
@@ -134,13 +134,8 @@ def test_wrong_calls_are_answered(run, capsys):
         assert said in capsys.readouterr().err
 
 
-def test_another_librarys_task_is_refused(tmp_path, capsys):
-    few = ["total_frames=40", "exploration.warmup_frames=20", "evaluation.every=40", "evaluation.episodes=1"]
-    names = [item.split("=")[0] for item in few]
-    directory = tmp_path / "run"
-    drop = ["env.threads", "env.num_envs", *names]
-    assert command("train", *tiny(directory, "env=walker_walk", "env.num_envs=2", *few, without=drop)) == 0
-    assert rows(directory)
-    assert command("evaluate", f"run={directory}", "robustness=true") == 2
-    assert "walker-walk: robustness is for the walking task only" in capsys.readouterr().err
-    assert not (directory / "evaluation.json").exists()
+def test_another_librarys_task_is_refused(finished, tmp_path, capsys):
+    run = finished.copy("library", tmp_path / "run")
+    assert command("evaluate", f"run={run}", "robustness=true") == 2
+    assert "Walker2d-v5: robustness is for the walking task only" in capsys.readouterr().err
+    assert not (run / "evaluation.json").exists()

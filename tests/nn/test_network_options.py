@@ -14,8 +14,8 @@ import torch
 from hydra import compose, initialize_config_module
 from networks import NETWORKS, SIZES, randomised
 from running import rows, train
+from td3_losses import batch, build, move_targets, run
 from tensordict import TensorDict
-from test_td3_loss import batch, build, move_targets, run
 from torch import nn
 from torch.nn import functional
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
@@ -196,7 +196,11 @@ def test_the_default_is_what_training_uses_and_the_papers_has_no_norm():
         assert build_settings(compose("config", ["experiment=paper"])).network == Network(norm="none")
 
 
-@pytest.mark.parametrize("choice", CHOICES)
+# A readout of another shape and weights that are tied; the others differ in their layers only.
+QUICK = ("per_joint", "equivariant")
+
+
+@pytest.mark.parametrize("choice", [pytest.param(c, marks=[pytest.mark.nightly] * (c not in QUICK)) for c in CHOICES])
 def test_trains(tmp_path, choice):
     run = train(tmp_path / "run", "algo=gctd3", f"network={choice}", "total_frames=120")
     assert int(rows(run)[-1]["updates"]) > 0 and len(CHOICES) >= 5

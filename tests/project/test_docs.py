@@ -7,9 +7,11 @@ import shlex
 import shutil
 import subprocess
 import sys
+import uuid
 from pathlib import Path
 
 import pytest
+from fuzzing import answered
 from robots import TWO_LEGS
 from running import TINY, command, train
 
@@ -118,21 +120,68 @@ def test_every_line_of_readme_is_accounted_for():
     assert not strange and len(PARTS) >= 15
     written = (ROOT / ".ci/run").read_text(encoding="utf-8")
     assert 'pip install -q -e ".[test]"' in written and "\npytest\n" in written
+    assert "\npytest -m nightly " in (ROOT / ".ci/nightly").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("line", [part for part in PARTS if part.startswith("python")])
-def test_a_command_of_readme_runs(line, place, monkeypatch, capfd):
-    monkeypatch.chdir(place)
+LINES = [part for part in PARTS if part.startswith("python")]
+
+
+def parsed(line):
+    """A command line's command and arguments, the long ones shortened."""
     words = [part for word in shlex.split(line) for part in INSTEAD.get(word, word).split(" ")]
     called = 2 if words[1] == "-m" else 1
-    name, arguments = words[called].removeprefix("gctd3").lstrip("."), words[called + 1 :]
+    return words[called].removeprefix("gctd3").lstrip("."), words[called + 1 :]
+
+
+def small(name, arguments):
+    """What is added to a command line, so that it takes seconds."""
+    if any(word.startswith("resume=") for word in arguments):
+        return []
+    # Two trainings in one second would have one directory.
+    directory = [f"hydra.run.dir=runs/{uuid.uuid4().hex}"] if name == "train" and "-m" not in arguments else []
+    return [*SMALL.get(name, []), *directory]
+
+
+def quick():
+    """The first line of each command, and the first training that is no sweep."""
+    found = {}
+    for line in LINES:
+        name, arguments = parsed(line)
+        if not name.endswith(".py") and "-m" not in arguments:
+            found.setdefault(name, line)
+    return list(found.values())
+
+
+@pytest.mark.parametrize("line", quick())
+def test_a_line_of_each_command_of_readme_runs(line, place, monkeypatch, capfd):
+    run_line(line, place, monkeypatch)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("line", LINES)
+def test_a_command_of_readme_runs(line, place, monkeypatch, capfd):
+    run_line(line, place, monkeypatch)
+
+
+TRAININGS = [line for line in LINES if parsed(line)[0] == "train" and "-m" not in parsed(line)[1]]
+
+
+@pytest.mark.parametrize("line", [line for line in TRAININGS if line not in quick()])
+def test_a_training_of_readme_can_begin(line, place, monkeypatch):
+    monkeypatch.chdir(place)
+    _, arguments = parsed(line)
+    assert answered("train", *arguments, *small("train", arguments)) == 0
+
+
+def run_line(line, place, monkeypatch):
+    monkeypatch.chdir(place)
+    name, arguments = parsed(line)
     for package in NEEDS.get(name, []):
         pytest.importorskip(package)
-    launcher = next((word.partition("=")[2] for word in words if word.startswith("hydra/launcher=")), "")
+    launcher = next((word.partition("=")[2] for word in arguments if word.startswith("hydra/launcher=")), "")
     if launcher in ("ray", "submitit"):
-        pytest.skip("tests/training/test_launchers.py runs it, slowly")
-    resumed = any(word.startswith("resume=") for word in arguments)
-    arguments += [] if resumed else SMALL.get(name, [])
+        pytest.skip("tests/training/test_launchers.py runs it")
+    arguments += small(name, arguments)
     if name == "view":
         call = [sys.executable, "-m", "gctd3.view", *arguments, "port=0", "browser=false"]
         with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as shown:

@@ -57,6 +57,7 @@ def test_ppo(capsys):
     assert first == first_still and learnt != still and math.isfinite(learnt)
 
 
+@pytest.mark.nightly
 def test_sac():
     few = ["--frames", "200", "--warmup", "100", "--batch", "16"]
     returns = importlib.import_module("sac_gymnasium").main(["--env", "Walker2d-v5", *few])
@@ -87,6 +88,7 @@ def test_transfer(tmp_path, monkeypatch):
         assert any(not torch.equal(other[name], value) for name, value in trained.items())
 
 
+@pytest.mark.nightly
 def test_tune_goes_on_where_it_stopped(tmp_path):
     pytest.importorskip("optuna", minversion="4")
     settings = [f"{key}={value}" for key, value in TINY.items() if key not in ("total_frames", "updates")]

@@ -1,6 +1,6 @@
 """Whatever a command or a file says: success, or one clean error. No hang, no crash, nothing written elsewhere.
 
-A fast part by default; the long form with ``pytest -m slow tests/project/test_fuzz.py``.
+A fast part by default; the long form with ``pytest -m nightly tests/project/test_fuzz.py``.
 """
 
 import re
@@ -16,7 +16,7 @@ from configs import composed, items
 from fuzzing import answered, clean, damages, fresh, tree
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from running import tiny, train
+from running import tiny
 
 from gctd3.files import load_tree, read_manifest
 from gctd3.runs.load import load_policy
@@ -27,8 +27,8 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return train(tmp_path_factory.mktemp("trained") / "run")
+def run(finished):
+    return finished["gctd3"]
 
 
 @pytest.fixture
@@ -196,7 +196,7 @@ def cases(count):
 
 def both(fast, long):
     """Marks of the fast and the long form."""
-    return pytest.mark.parametrize("count", [fast, pytest.param(long, marks=pytest.mark.slow)])
+    return pytest.mark.parametrize("count", [fast, pytest.param(long, marks=pytest.mark.nightly)])
 
 
 @both(15, 350)

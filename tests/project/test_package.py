@@ -1,6 +1,7 @@
 """The package: imports that point one way, a light front door, a docstring on everything that is public."""
 
 import ast
+import functools
 import importlib
 import re
 import shutil
@@ -65,7 +66,16 @@ def named(file, types=True):
 
     Without ``types``, those that are imported when the program runs.
     """
-    tree = ast.parse(file.read_text(encoding="utf-8"))
+    return named_in(file.read_text(encoding="utf-8"), file.name, types)
+
+
+@functools.cache
+def named_in(text, file, types):
+    return list(names_in(text, file, types))
+
+
+def names_in(text, file, types):
+    tree = ast.parse(text)
     never = [node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
     skipped = set() if types else {inner for node in never for part in node.body for inner in ast.walk(part)}
     for node in ast.walk(tree):
@@ -182,23 +192,28 @@ def test_the_front_door_imports_nothing_until_it_is_used():
 
 
 @pytest.mark.parametrize(
-    "module, absent",
+    "modules, absent",
     [
         # What each stage can be used without: the graph without PyTorch, the networks without Hydra.
-        ("gctd3.deploy.policy", ("torch", "torchrl", "hydra", "dm_control", "mujoco", "safetensors")),
-        ("gctd3.robots.robot", ("torch", "torchrl", "hydra", "dm_control")),
-        ("gctd3.robots.graph", ("torch", "torchrl", "hydra", "dm_control")),
-        ("gctd3.tasks.walk", ("torch", "torchrl", "hydra", "dm_control")),
-        ("gctd3.compat", ("torch", "torchrl", "hydra", "dm_control", "mujoco")),
-        ("gctd3.nn", ("hydra", "dm_control")),
-        ("gctd3.algorithms.td3", ("hydra", "dm_control")),
-        ("gctd3.evaluation.gait_metrics", ("torch", "torchrl", "hydra", "dm_control", "mujoco")),
-        ("gctd3.evaluation.effort", ("torch", "torchrl", "hydra", "dm_control", "mujoco")),
-        ("gctd3.config.build", ("torch", "torchrl", "dm_control", "mujoco")),
+        (["gctd3.deploy.policy"], ("torch", "torchrl", "hydra", "dm_control", "mujoco", "safetensors")),
+        (
+            ["gctd3.evaluation.gait_metrics", "gctd3.evaluation.effort"],
+            ("torch", "torchrl", "hydra", "dm_control", "mujoco"),
+        ),
+        (
+            ["gctd3.robots.robot", "gctd3.robots.graph", "gctd3.tasks.walk"],
+            ("torch", "torchrl", "hydra", "dm_control"),
+        ),
+        (["gctd3.nn", "gctd3.algorithms.td3"], ("hydra", "dm_control")),
+        (["gctd3.compat"], ("torch", "torchrl", "hydra", "dm_control", "mujoco")),
+        (["gctd3.config.build"], ("torch", "torchrl", "dm_control", "mujoco")),
     ],
 )
-def test_stages_are_light(module, absent):
-    assert fresh(f"import {module}, sys; print([name for name in {absent} if name in sys.modules])") == "[]"
+def test_stages_are_light(modules, absent):
+    """Import in one interpreter what has to do without the same; the first to bring it is named."""
+    heavy = f"[name for name in {absent} if name in sys.modules]"
+    code = f"import importlib, sys\nfor name in {modules}:\n    importlib.import_module(name)\n    print(name, {heavy})"
+    assert fresh(code).splitlines() == [f"{name} []" for name in modules]
 
 
 # The public names.

@@ -204,12 +204,15 @@ def test_environment(name, other):
     assert torch.isfinite(rollout["nodes"]).all()
 
 
-@pytest.mark.parametrize("robot_name", FEET)
-def test_trains(robot_name, tmp_path):
-    run = train(tmp_path / "run", f"robot={robot_name}")
+@pytest.mark.parametrize(
+    "robot_name", [pytest.param(name, marks=[pytest.mark.nightly] * (name == "hexapod")) for name in FEET]
+)
+def test_trains(robot_name, finished, tmp_path):
+    run = finished["quadruped"] if robot_name == "quadruped" else train(tmp_path / "run", f"robot={robot_name}")
     assert (run / "progress.csv").is_file()
 
 
+@pytest.mark.nightly
 def test_trains_on_a_file(tmp_path, other):
     file = tmp_path / "my=robot.xml"
     file.write_text(other.path.read_text())

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from running import command, train
+from running import command
 from tensordict import TensorDict
 
 import gctd3
@@ -117,8 +117,8 @@ def test_shipping_judges_and_copies(shipping, tmp_path, monkeypatch):
     assert json.loads((to / "evaluation.json").read_text())["episodes"] == 2
 
 
-def test_shipping_refuses_what_does_not_walk(shipping, tmp_path, monkeypatch):
-    run, to = train(tmp_path / "run"), tmp_path / "biped" / "policy"
+def test_shipping_refuses_what_does_not_walk(shipping, finished, tmp_path, monkeypatch):
+    run, to = finished.copy("gctd3", tmp_path / "run"), tmp_path / "biped" / "policy"
     shutil.copytree(find_run(None), to)
     before = contents(to)
     with pytest.raises(SystemExit, match=r"does not walk: .*success_rate"):

@@ -1,6 +1,8 @@
 """Trainings that end by a signal, a kill at any moment, a second training or a full disk, and go on from there."""
 
+import errno
 import math
+import os
 import re
 import shutil
 import signal
@@ -13,8 +15,10 @@ import torch
 from resuming import TIMED, assert_same_run
 from running import command, process, rows, tiny, train, wait_for
 
+from gctd3 import files
 from gctd3.runs.load import load_policy
 from gctd3.training.checkpoint import Checkpoints
+from gctd3.training.run_lock import only_one
 
 
 def start(run, *overrides):
@@ -26,7 +30,9 @@ def start(run, *overrides):
 LONG = ["total_frames=4000", "evaluation.every=400", "checkpoint_every=0.2"]
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.nightly)]
+)
 def test_a_signal_finishes_the_step_and_says_how_to_go_on(tmp_path, number, code):
     run = tmp_path / "run"
     running = start(run, *LONG)
@@ -38,12 +44,15 @@ def test_a_signal_finishes_the_step_and_says_how_to_go_on(tmp_path, number, code
     assert f"Continue it:  python -m gctd3.train resume={run}" in out
     assert load_policy(run) is not None
     before = rows(run)
-    done = process("train", f"resume={run}")
-    assert done.returncode == 0, done.stderr
+    # To its end it would take long.
+    reached = Checkpoints(run).newest()[0]["counters"]["frames"]
+    assert 400 <= reached < 4000
+    assert command("train", f"resume={run}", f"total_frames={reached + 80}") == 0
     assert rows(run)[: len(before)] == before
-    assert int(rows(run)[-1]["frames"]) == 4000
+    assert int(rows(run)[-1]["frames"]) == reached + 80
 
 
+@pytest.mark.nightly
 def test_a_second_signal_leaves_at_once(tmp_path):
     run = tmp_path / "run"
     # Steps of minutes, so that the first signal alone would not end it soon.
@@ -60,6 +69,7 @@ def test_a_second_signal_leaves_at_once(tmp_path):
     assert "Traceback" not in error
 
 
+@pytest.mark.nightly
 def test_a_signal_while_the_training_is_being_built(tmp_path):
     run = tmp_path / "run"
     running = start(run, *LONG)
@@ -71,6 +81,17 @@ def test_a_signal_while_the_training_is_being_built(tmp_path):
     assert f"Continue it:  python -m gctd3.train resume={run}" in out
 
 
+def test_the_directory_of_a_training_is_taken(finished, tmp_path, capsys):
+    run = finished.copy("gctd3", tmp_path / "run")
+    with only_one(run):
+        for arguments in (tiny(run), [f"resume={run}", "total_frames=400"]):
+            capsys.readouterr()
+            assert command("train", *arguments) == 2
+            assert "Another training writes to" in capsys.readouterr().err
+    assert rows(run) == rows(finished["gctd3"])
+
+
+@pytest.mark.nightly
 def test_a_second_training_in_the_directory_is_refused(tmp_path):
     run = tmp_path / "run"
     running = start(run, *LONG, "total_frames=400_000", "evaluation.every=400_000")
@@ -95,12 +116,13 @@ def killed_at(run, seconds):
     return running.returncode
 
 
+@pytest.mark.nightly
 def test_killed_at_any_moment_resumes_and_ends_as_if_left_alone(tmp_path):
     whole = train(tmp_path / "whole", *LONG)
     kill_and_compare(tmp_path / "run", whole, [0.3, 1.1])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_thirty_kills(tmp_path):
     whole = train(tmp_path / "whole", *LONG)
     generator = torch.Generator().manual_seed(0)
@@ -144,23 +166,61 @@ train.main()
 """
 
 
-def test_a_kill_inside_a_checkpoint_leaves_the_one_before(tmp_path, monkeypatch):
-    """Whatever file a checkpoint was about to write when it was killed."""
+def killed_before(run, flushes):
+    """Kill a training before it flushes a file; the kind of the file."""
+    code = DYING.format(left=flushes, arguments=tiny(run, OFTEN))
+    killed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert killed.returncode == 9, killed.stderr
+    return re.sub(r"[\d-]+", "-", re.search(r"Died before .*/(.*)", killed.stdout)[1])
+
+
+def assert_goes_on(whole, run):
+    assert command("train", f"resume={run}") == 0
+    assert_same_run(whole, run)
+    assert not list(run.rglob("*.tmp"))
+
+
+def test_a_kill_inside_a_checkpoint_leaves_the_one_before(finished, tmp_path, monkeypatch):
+    whole, run = finished["gctd3"], tmp_path / "run"
     monkeypatch.setattr("gctd3.training.trainer.MOST_TIME", math.inf)
-    whole = train(tmp_path / "whole", OFTEN)
-    struck = set()
+    # Its rows of the replay are written by then, and nothing names them.
+    assert killed_before(run, 25) == "state.safetensors"
+    assert list(run.rglob("*.tmp"))
+    assert_goes_on(whole, run)
+
+
+@pytest.mark.nightly
+def test_a_kill_before_any_file_of_a_checkpoint_leaves_the_one_before(finished, tmp_path, monkeypatch):
+    whole, struck = finished["gctd3"], set()
+    monkeypatch.setattr("gctd3.training.trainer.MOST_TIME", math.inf)
     for count in range(6):
-        run = tmp_path / f"run{count}"
-        code = DYING.format(left=20 + count, arguments=tiny(run, OFTEN))
-        killed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-        assert killed.returncode == 9, killed.stderr
-        struck.add(re.sub(r"[\d-]+", "-", re.search(r"Died before .*/(.*)", killed.stdout)[1]))
-        assert command("train", f"resume={run}") == 0, count
-        assert_same_run(whole, run)
-        assert not list(run.rglob("*.tmp"))
+        struck.add(killed_before(tmp_path / f"run{count}", 20 + count))
+        assert_goes_on(whole, tmp_path / f"run{count}")
     assert struck >= {".rows-.safetensors.tmp", "state.safetensors", "manifest.json", ".step-.tmp", "checkpoints"}
 
 
+def test_a_file_that_finds_no_room_leaves_the_last_checkpoint(finished, tmp_path, monkeypatch, capsys):
+    """As on a full disk, from the third file of the second checkpoint on."""
+    whole, run = finished["gctd3"], tmp_path / "run"
+    monkeypatch.setattr("gctd3.training.trainer.MOST_TIME", math.inf)
+    flushed, flush = [], files._flush
+
+    def full(path):
+        flushed.append(path)
+        if len(flushed) > 14:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        flush(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "_flush", full)
+        assert command("train", *tiny(run, OFTEN)) == 2
+    error = capsys.readouterr().err
+    assert "Traceback" not in error and "No space left on device" in error and f"resume={run}" in error
+    assert Checkpoints(run).newest() is not None
+    assert_goes_on(whole, run)
+
+
+@pytest.mark.nightly
 def test_a_full_disk_says_so_and_leaves_the_last_checkpoint(tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()

@@ -53,7 +53,7 @@ def sweep(directory, *overrides):
 
 
 @needs("ray")
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sweep_on_ray_fills_directories_that_the_report_reads(tmp_path):
     arguments = sweep(tmp_path / "sweep", "hydra/launcher=ray", "algo=gctd3,td3", "seed=0,1")
     done = process("train", *arguments)
@@ -67,7 +67,7 @@ def test_a_sweep_on_ray_fills_directories_that_the_report_reads(tmp_path):
 
 
 @needs("ray")
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_that_fails_elsewhere_is_said_here(tmp_path):
     arguments = sweep(tmp_path / "sweep", "hydra/launcher=ray", "robot.feet=[nobody]", "seed=0,1")
     done = process("train", *arguments)
@@ -76,7 +76,7 @@ def test_a_run_that_fails_elsewhere_is_said_here(tmp_path):
 
 
 @needs("submitit")
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_preempted_run_of_submitit_resumes_by_itself(tmp_path):
     directory = tmp_path / "sweep"
     long = ["total_frames=2000", "evaluation.every=200", "checkpoint_every=0.2", "seed=0,1"]

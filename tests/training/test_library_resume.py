@@ -23,10 +23,10 @@ WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episod
     "task, every",
     [
         (["env=walker2d"], 100),
-        (["env=walker2d", *FLAT], 100),
-        (["env=walker2d", "env.static=true"], 100),
-        (["env=ant", "env.task=Humanoid-v5"], 100),
-        (["env=walker_walk"], 200),
+        pytest.param(["env=walker2d", *FLAT], 100, marks=pytest.mark.nightly),
+        pytest.param(["env=walker2d", "env.static=true"], 100, marks=pytest.mark.nightly),
+        pytest.param(["env=ant", "env.task=Humanoid-v5"], 100, marks=pytest.mark.nightly),
+        pytest.param(["env=walker_walk"], 200, marks=pytest.mark.nightly),
     ],
 )
 def test_stopped_and_resumed_equals_left_alone(tmp_path, task, every):

@@ -5,7 +5,7 @@ import pytest
 import torch
 from safetensors import safe_open
 from tensordict import TensorDict
-from test_algorithms import GCN, MLP, build, going_on
+from toy_algorithms import GCN, MLP, build, going_on
 
 from gctd3.files import load_tree, save_tree
 

@@ -9,6 +9,8 @@ from running import rows, train
 from gctd3.viz import film
 
 pytest.importorskip("imageio_ffmpeg")
+# Neither logger is in the environment of the quick tests.
+pytestmark = pytest.mark.nightly
 
 
 @pytest.fixture(autouse=True)

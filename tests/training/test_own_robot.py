@@ -1,8 +1,9 @@
 """A robot of one's own with settings of its own: a YAML outside the package."""
 
 import pytest
+from fuzzing import answered
 from robots import TWO_LEGS, write
-from running import command, rows, tiny, train
+from running import command, rows, tiny
 
 from gctd3.training.saved_configuration import load_settings
 
@@ -26,7 +27,10 @@ def _place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("way", ["--config-dir=own", "--config-dir own", "-cd own", "hydra.searchpath=[file://{}/own]"])
+WAYS = ["--config-dir=own", "--config-dir own", "-cd own", "hydra.searchpath=[file://{}/own]"]
+
+
+@pytest.mark.parametrize("way", [WAYS[0], *(pytest.param(way, marks=pytest.mark.nightly) for way in WAYS[1:])])
 def test_options_stand_anywhere_among_the_settings(tmp_path, way):
     words = way.format(tmp_path).split(" ")
     # On both sides, as nothing about key=value says which comes first.
@@ -45,12 +49,22 @@ def test_options_stand_anywhere_among_the_settings(tmp_path, way):
     assert load_settings(tmp_path / "run").env == settings.env
 
 
+@pytest.mark.parametrize("way", WAYS[1:])
+def test_options_are_known_whatever_names_their_folder(tmp_path, way):
+    words = way.format(tmp_path).split(" ")
+    assert answered("train", "algo=td3", *words, *tiny(tmp_path / "run", "robot=mine")) == 0
+    endings = load_settings(tmp_path / "run").env.endings
+    assert (endings.contact_steps, endings.fall_height, endings.finish) == (None, -0.2, 15.0)
+    (tmp_path / "own").rename(tmp_path / "gone")
+    assert answered("train", f"resume={tmp_path / 'run'}", "total_frames=400") == 0
+
+
 def test_another_robots_settings(tmp_path):
-    run = train(tmp_path / "run", "robot=quadruped", "robot.name=robot.xml", "total_frames=160")
-    settings = load_settings(run)
+    assert answered("train", *tiny(tmp_path / "run", "robot=quadruped", "robot.name=robot.xml")) == 0
+    settings = load_settings(tmp_path / "run")
     assert settings.robot.name == "robot.xml" and settings.env.endings.contact_steps == 50
-    plain = load_settings(train(tmp_path / "plain", "robot=robot.xml", "total_frames=160"))
-    assert plain.env.endings.contact_steps == 40
+    assert answered("train", *tiny(tmp_path / "plain", "robot=robot.xml")) == 0
+    assert load_settings(tmp_path / "plain").env.endings.contact_steps == 40
 
 
 def test_what_is_no_setting_is_still_refused(tmp_path, capsys):

@@ -12,13 +12,20 @@ from running import TINY, Recorded, command, rows, train
 from gctd3.training.checkpoint import Checkpoints
 from gctd3.training.saved_configuration import save_config
 
-CASES = [(algo, backend, "frames") for algo in ("gctd3", "td3", "ddpg", "sac") for backend in ("batched", "dm_control")]
+ALGORITHMS = ("gctd3", "td3", "ddpg", "sac")
+# The state of a backend is the same for all algorithms.
+CASES = [(algo, "batched", "frames") for algo in ALGORITHMS] + [
+    pytest.param(algo, "dm_control", "frames", marks=[pytest.mark.nightly] if algo != "gctd3" else [])
+    for algo in ALGORITHMS
+]
 
 
 @pytest.mark.parametrize(("algo", "backend", "storage"), [*CASES, ("td3", "batched", "stacked")])
-def test_stopped_and_resumed_equals_left_alone(tmp_path, algo, backend, storage):
+def test_stopped_and_resumed_equals_left_alone(finished, tmp_path, algo, backend, storage):
     settings = [f"algo={algo}", f"env.backend={backend}", f"replay.storage={storage}"]
-    whole = train(tmp_path / "whole", *settings)
+    left_alone = {("batched", "frames"): algo, ("dm_control", "frames"): {"gctd3": "dm_control"}.get(algo)}
+    name = left_alone.get((backend, storage))
+    whole = finished[name] if name else train(tmp_path / "whole", *settings)
     # In the middle of episodes, between two evaluations.
     part = stopped(tmp_path / "part", 128, *settings)
     assert [row["frames"] for row in rows(part)] == ["80"]
@@ -26,8 +33,8 @@ def test_stopped_and_resumed_equals_left_alone(tmp_path, algo, backend, storage)
     assert_same_run(whole, part)
 
 
-def test_stopped_in_the_warm_up_and_twice_more(tmp_path):
-    whole = train(tmp_path / "whole")
+def test_stopped_in_the_warm_up_and_twice_more(finished, tmp_path):
+    whole = finished["gctd3"]
     part = stopped(tmp_path / "part", 40)
 
     class Again(Recorded):
@@ -50,9 +57,9 @@ def test_stopped_after_it_had_begun_again(tmp_path, storage):
     assert_same_run(whole, part)
 
 
-def test_more_frames_extend_a_finished_run(tmp_path):
+def test_more_frames_extend_a_finished_run(finished, tmp_path):
     long = train(tmp_path / "long", "total_frames=400")
-    run = train(tmp_path / "run")
+    run = finished.copy("gctd3", tmp_path / "run")
     assert command("train", f"resume={run}") == 2
     assert command("train", f"resume={run}", "total_frames=400") == 0
     assert rows(run, drop=TIMED) == rows(long, drop=TIMED)
@@ -123,8 +130,8 @@ def test_no_run_to_resume(tmp_path, capsys, missing):
     assert [path.name for path in tmp_path.rglob("*")] == (["run"] if missing else [])
 
 
-def test_a_damaged_checkpoint_is_passed_over(tmp_path, capsys):
-    whole = train(tmp_path / "whole", "checkpoint_every=0.001")
+def test_a_damaged_checkpoint_is_passed_over(finished, tmp_path, capsys):
+    whole = finished["gctd3"]
     part = stopped(tmp_path / "part", 160, "checkpoint_every=0.001")
     newest, before = sorted((part / "checkpoints").glob("step-*"), reverse=True)[:2]
     state = newest / "state.safetensors"
@@ -151,8 +158,8 @@ def test_a_damaged_checkpoint_is_passed_over(tmp_path, capsys):
     assert before.name < newest.name
 
 
-def test_a_sweep_goes_on_where_it_stopped(tmp_path):
-    whole = {seed: train(tmp_path / f"whole{seed}", f"seed={seed}") for seed in (0, 1)}
+def test_a_sweep_goes_on_where_it_stopped(finished, tmp_path):
+    whole = {0: finished["gctd3"], 1: finished["gctd3 seed 1"]}
     settings = [f"{key}={value}" for key, value in TINY.items()]
     sweep = ["-m", *settings, "seed=0,1", f"hydra.sweep.dir={tmp_path / 'sweep'}", "hydra.sweep.subdir=${seed}"]
 
@@ -161,15 +168,15 @@ def test_a_sweep_goes_on_where_it_stopped(tmp_path):
             return super().run(StopAfter(self, 128) if self.settings.seed else None)
 
     assert command("train", *sweep, trainer=Stopped) == 0
-    finished = (tmp_path / "sweep" / "0" / "progress.csv").read_text()
+    progress = (tmp_path / "sweep" / "0" / "progress.csv").read_text()
     assert command("train", *sweep) == 0
-    assert (tmp_path / "sweep" / "0" / "progress.csv").read_text() == finished
+    assert (tmp_path / "sweep" / "0" / "progress.csv").read_text() == progress
     for seed, run in whole.items():
         assert_same_run(run, tmp_path / "sweep" / str(seed))
 
 
-def test_manifests_say_what_they_are_of(tmp_path):
-    run = train(tmp_path / "run")
+def test_manifests_say_what_they_are_of(finished):
+    run = finished["gctd3"]
     for path in (Checkpoints(run).best(), *(run / "checkpoints").glob("step-*")):
         content = json.loads((path / "manifest.json").read_text())["content"]
         assert content["format"] == 2

@@ -28,8 +28,8 @@ class Evil:
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return train(tmp_path_factory.mktemp("trained") / "run")
+def run(finished):
+    return finished["gctd3"]
 
 
 def evil_files(folder, marker):

@@ -125,6 +125,7 @@ def beside(directory, *overrides, **changed):
     return subprocess.Popen(module, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
+@pytest.mark.nightly
 def test_ctrl_c_reaches_runs_side_by_side_and_the_sweep_goes_on_later(tmp_path):
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
     long = {"total_frames": 2000, "evaluation.every": 400, "checkpoint_every": 1000}
@@ -191,8 +192,8 @@ def test_a_crashed_run_is_named_and_the_others_go_on(tmp_path, capsys):
     assert "its best policy until then counts" in said and "seed 1 (" not in said
 
 
-def test_a_run_that_was_stopped_is_named(tmp_path):
-    run = train(tmp_path / "a")
+def test_a_run_that_was_stopped_is_named(finished, tmp_path):
+    run = finished.copy("gctd3", tmp_path / "a")
     assert find_runs(run)[0].trouble is None
     OmegaConf.save(
         {**OmegaConf.load(run / ".hydra" / "config.yaml"), "total_frames": 2400}, run / ".hydra" / "config.yaml"

@@ -10,19 +10,21 @@ import numpy as np
 import pytest
 from browsers import chromium
 from PIL import Image
-from running import train, wait_for
+from running import wait_for
 
 from gctd3.runs.show import SHIPPED
 from gctd3.training.saved_configuration import find_run
 
 pytest.importorskip("mjviser", reason="no mjviser")
+# Every pixel is drawn by the CPU. The quick tests start the viewer as README says, and read its page in Python.
+pytestmark = pytest.mark.nightly
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
+def runs(finished, tmp_path_factory):
     """A folder with the run of another robot, and with one that cannot be read."""
     folder = tmp_path_factory.mktemp("runs")
-    train(folder / "quadruped", "robot=quadruped")
+    finished.copy("quadruped", folder / "quadruped")
     shutil.copytree(find_run(None), folder / "broken")
     (weights,) = (folder / "broken").rglob("policy.safetensors")
     weights.write_bytes(b"")
@@ -114,7 +116,6 @@ def test_it_walks_pauses_and_is_pushed(page):
     wait_for(lambda: number(page, "time") > 0.1)
 
 
-@pytest.mark.slow
 def test_ground_and_load_change_the_walk(page):
     def gained():
         return pushed(page, 4)[0] - pushed(page, 0)[0]
@@ -137,7 +138,6 @@ def test_ground_and_load_change_the_walk(page):
     assert velocity() < 0.4
 
 
-@pytest.mark.slow
 def test_another_run_is_chosen(page, runs):
     def choose(name):
         page.get_by_role("combobox", name="Run").click()

@@ -1,0 +1,13 @@
+"""Draw the contact of a foot with the ground."""
+
+import numpy as np
+
+
+def signal(text):
+    """A contact signal: ``#`` is down, ``.`` is up."""
+    return np.array([mark == "#" for mark in text.replace(" ", "")])
+
+
+def square(period, steps, duty=0.6, shift=0):
+    """Down for ``duty`` of every ``period`` samples."""
+    return (np.arange(steps) + shift) % period < duty * period

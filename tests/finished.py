@@ -1,0 +1,96 @@
+"""Train a few tiny runs once per test session, for the tests that need a finished run and not its training."""
+
+import contextlib
+import io
+import os
+import random
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from filelock import FileLock
+from running import train
+
+# A library's episodes have no falls in so few frames, and an evaluation is as long as they are.
+LIBRARY = ["env=walker2d", "env.num_envs=2", "evaluation.episodes=1", "evaluation.every=200", "total_frames=120"]
+# What each run is trained with besides running.TINY, and what of TINY does not apply to it.
+RUNS = {
+    "gctd3": (["algo=gctd3"], ()),
+    "gctd3 seed 1": (["algo=gctd3", "seed=1"], ()),
+    "td3": (["algo=td3"], ()),
+    "td3 seed 1": (["algo=td3", "seed=1"], ()),
+    "ddpg": (["algo=ddpg"], ()),
+    "sac": (["algo=sac"], ()),
+    "quadruped": (["algo=gctd3", "robot=quadruped"], ()),
+    "dm_control": (["algo=gctd3", "env.backend=dm_control"], ()),
+    "library": (
+        ["algo=gctd3", *LIBRARY],
+        ("env.num_envs", "env.threads", "evaluation.every", "evaluation.episodes", "total_frames"),
+    ),
+}
+
+
+class Finished:
+    """Finished runs by the names in ``RUNS``, each trained by whoever asks for it first.
+
+    Test processes of one session share the folder: a lock on disk makes the others wait for the first.
+
+    Args:
+        folder: Holds the runs.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder, self.handed_out = folder, {}
+
+    def __getitem__(self, name):
+        """The run's directory, to be read only: other tests read it as well."""
+        directory = self.folder / name.replace(" ", "_")
+        run, whole = directory / "run", directory / "whole"
+        directory.mkdir(parents=True, exist_ok=True)
+        with FileLock(directory / "lock"):
+            if not whole.exists():
+                # A training that failed, or was killed, must not be taken for a finished one.
+                shutil.rmtree(run, ignore_errors=True)
+                overrides, without = RUNS[name]
+                with undisturbed():
+                    train(run, *overrides, without=without)
+                whole.touch()
+        self.handed_out.setdefault(name, (run, contents(run)))
+        return run
+
+    def copy(self, name, to):
+        """A copy at ``to``, for a test that changes the run."""
+        return Path(shutil.copytree(self[name], to))
+
+    def check(self):
+        """Fail if a run that was handed out is not as it was."""
+        handed_out, self.handed_out = self.handed_out, {}
+        for name, (run, before) in handed_out.items():
+            if contents(run) != before:
+                pytest.fail(f"a test changed the shared run {name!r}: it has to take a copy")
+
+
+def contents(run):
+    """Size and time of change of every file by its path."""
+    found = {}
+    for here, _, files in os.walk(run):
+        for name in files:
+            about = os.stat(os.path.join(here, name))
+            found[os.path.join(here, name)] = about.st_size, about.st_mtime_ns
+    return found
+
+
+@contextlib.contextmanager
+def undisturbed():
+    """Leave random numbers and output as if nothing happened here: which test trains a run is chance."""
+    states = random.getstate(), np.random.get_state(), torch.get_rng_state(), torch.get_num_threads()
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            yield
+    finally:
+        random.setstate(states[0])
+        np.random.set_state(states[1])
+        torch.set_rng_state(states[2])
+        torch.set_num_threads(states[3])
