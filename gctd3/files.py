@@ -75,7 +75,8 @@ def _pack(value: Any, path: str, tensors: dict[str, Tensor]) -> Any:  # noqa: AN
         tensors[path] = value.detach().to("cpu").contiguous().clone()
         return {"tensor": path}
     if isinstance(value, np.ndarray):
-        tensors[path] = torch.from_numpy(np.array(value))
+        # In C order: a file holds no other.
+        tensors[path] = torch.from_numpy(np.array(value, order="C"))
         return {"array": path}
     if isinstance(value, np.generic):
         return value.item()

@@ -8,6 +8,7 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
+from gctd3.errors import ConfigError
 from gctd3.nn.actor import ACTION, NODES
 from gctd3.nn.encoder import GraphEncoder
 from gctd3.nn.network import Network
@@ -32,6 +33,9 @@ class Critic(nn.Module):
         privileged_dim: Length of the extra input.
         reflection: How the robot looks in the mirror, if ``network.equivariant``.
 
+    Raises:
+        ConfigError: If the reflection is missing, or of other inputs.
+
     Shapes:
         inputs ``[*, N, F]``, ``[*, A]`` and, if ``privileged_dim > 0``, ``[*, privileged_dim]``; output ``[*, 1]``.
     """
@@ -53,6 +57,13 @@ class Critic(nn.Module):
         else:
             self.head = network.head(self.encoder.out_features + action_dim + privileged_dim, 1)
         self.symmetry = network.symmetry(reflection, in_features, action_dim, per_action=0)
+        if self.symmetry is not None and reflection is not None:
+            reflected = len(reflection.counters.source)
+            if privileged_dim not in (0, reflected):
+                raise ConfigError(
+                    f"equivariant: true needs a reflection of all {privileged_dim} numbers of the extra input, got one "
+                    f"of {reflected}: a task's own is task.reflection()."
+                )
 
     def forward(self, nodes: Tensor, action: Tensor, *privileged: Tensor) -> Tensor:
         """Value of ``action`` in the state ``nodes``; ``[E, B, 1]`` with parameters stacked to ``[E, ...]``."""

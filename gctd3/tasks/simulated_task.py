@@ -170,10 +170,11 @@ class SimulatedTask:
             position=place["forward"],
             height=place["height"],
             velocity=np.asarray(read["forward"][1]),
-            angles=qpos[..., self._qpos],
-            velocities=qvel[..., self._qvel],
-            feet_down=sensordata[..., self._feet] > 0,
-            other_down=np.asarray((sensordata[..., self._others] > 0).any(axis=-1)),
+            # Not by indexing, whose results lie in another order than those of a checkpoint: sums would differ by bits.
+            angles=qpos.take(self._qpos, axis=-1),
+            velocities=qvel.take(self._qvel, axis=-1),
+            feet_down=sensordata.take(self._feet, axis=-1) > 0,
+            other_down=np.asarray((sensordata.take(self._others, axis=-1) > 0).any(axis=-1)),
             base=base,
             tilt=tilt,
         )
