@@ -56,8 +56,8 @@ def make(root, name, returns=500.0, *, overrides=(), evaluation=True, change=Non
         "seed": int(name[-1]),
         "threads": int(name[-1]),
         "robot": {"name": "biped", "feet": None, "forward": None, "graph": "tree"},
-        "env": {"_target_": "gctd3.EnvSettings", "control_dt": 0.02, "endings": {"fall_height": -0.1}},
-        "evaluation": {"reward": {"fall": 10.0}, "episodes": 10},
+        "task": {"_target_": "gctd3.WalkSettings", "control_dt": 0.02, "terminations": {"fall": {"height": -0.1}}},
+        "evaluation": {"reward": {"terms": {"fall": {"weight": -10.0}}}, "episodes": 10},
         "algo": {"tau": 0.005},
     }
     for key, value in (change or {}).items():
@@ -293,7 +293,7 @@ def test_a_report_on_another_librarys_task(tmp_path, monkeypatch):
     few = ["total_frames=40", "exploration.warmup_frames=20", "evaluation.every=40", "evaluation.episodes=1"]
     names = [item.split("=")[0] for item in few]
     run = tmp_path / "runs" / "a"
-    arguments = tiny(run, "env=walker_walk", "env.num_envs=2", *few, without=["env.threads", "env.num_envs", *names])
+    arguments = tiny(run, "task=walker_walk", "env.num_envs=2", *few, without=["env.threads", "env.num_envs", *names])
     assert command("train", *arguments) == 0
     assert command("report", "runs=runs", "out=out", "episodes=1") == 0
     assert "walker-walk" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")

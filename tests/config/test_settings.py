@@ -12,10 +12,10 @@ from hydra.utils import get_object
 
 from gctd3.algorithms.base import AlgorithmSettings
 from gctd3.config.build import build
-from gctd3.envs.simulation import Start
 from gctd3.evaluation.robustness import Perturbations
 from gctd3.runs.judge import EvaluateSettings
-from gctd3.tasks.reward import Endings, Reward
+from gctd3.tasks.reward import Reward
+from gctd3.tasks.walk import WalkSettings
 from gctd3.training.settings import TrainSettings
 
 CONF = Path(str(files("gctd3.conf")))
@@ -53,7 +53,7 @@ def test_any_algorithm_takes_any_network(algorithm, network):
     settings = build(composed(f"algo={algorithm}", f"network={network}"))
     assert bool(settings.network.graph_layers) == (network != "mlp")
     assert isinstance(settings.algo, AlgorithmSettings)
-    assert settings.algo.build(settings.architecture()).optimizers.keys() >= {"actor", "critic"}
+    assert settings.algo.build(settings.setup().architecture()).optimizers.keys() >= {"actor", "critic"}
 
 
 @pytest.mark.parametrize("algorithm, network", [("gctd3", "gcn"), ("td3", "mlp"), ("ddpg", "mlp"), ("sac", "mlp")])
@@ -67,6 +67,16 @@ def test_an_algorithm_brings_its_network_and_its_noise(algorithm, network):
 @pytest.mark.parametrize("experiment", sorted(file.stem for file in (CONF / "experiment").glob("*.yaml")))
 def test_any_algorithm_takes_any_experiment(experiment, algorithm):
     build(composed(f"experiment={experiment}", f"algo={algorithm}"))
+
+
+@pytest.mark.parametrize("task", ["walker_walk", "walker2d", "halfcheetah", "ant"])
+def test_a_librarys_task_brings_what_goes_with_it(task):
+    settings = build(composed(f"task={task}"))
+    assert (settings.env.backend, settings.env.num_envs) == ("library", 8)
+    assert settings.exploration.warmup == "uniform" and not settings.replay.mirror
+    assert settings.stop_when.evaluations is None
+    # What is asked for comes before it.
+    assert build(composed(f"task={task}", "env.num_envs=3")).env.num_envs == 3
 
 
 def test_perturbations_build():
@@ -84,8 +94,7 @@ def test_the_other_commands_build(root):
 def test_yaml_and_python_agree_on_the_papers_task(default):
     """What a library user gets by default is what a command line gets."""
     assert build(composed("reward=paper")).reward == Reward()
-    assert build(default).env.endings == Endings()
-    assert build(default).env.start == Start()
+    assert build(default).task == WalkSettings()
 
 
 # Every key is explained, and is a setting.
@@ -125,7 +134,7 @@ def test_every_key_has_a_comment():
         found = list(lines_of(file))
         plain = yaml.safe_load(file.read_text(encoding="utf-8"))
         ours = {key: value for key, value in plain.items() if key not in ("defaults", "hydra")}
-        leaves = [key for key, value in items(ours) if not isinstance(value, dict)]
+        leaves = [key for key, value in items(ours) if not isinstance(value, dict) or not value]
         assert sorted(key for key, _ in found) == sorted(leaves)  # the test reads what YAML reads
         for key, comment in found:
             seen[package(file) + key] = file.relative_to(CONF)

@@ -34,10 +34,11 @@ def nobody_is_left():
 def check_that_it_acts_with_the_weights_that_it_is_sent(start, robot):
     """A worker that ``start`` makes of a job; its last weights."""
     settings = tiny_settings("exploration.warmup_frames=0", "exploration.noise=null")
-    actor = settings.algo.build(settings.architecture()).actor
+    setup = settings.setup()
+    actor = settings.algo.build(setup.architecture()).actor
     share = slice(2, 5)
     explorer = Explorer(copy.deepcopy(actor).requires_grad_(False), robot, 5, settings.exploration, part=share)
-    recipe = EnvRecipe(robot, settings.env, settings.reward)
+    recipe = EnvRecipe(setup.task, settings.env)
     worker, seen = start(Job(share, 7, 1, settings.batch_steps, recipe, Policy(explorer))), []
     for scale in (0.1, 1.0):
         for parameter in actor.parameters():

@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 import torch
+from compositions import walking
 from running import command, rows, tiny, train
 
-from gctd3.envs.factory import EnvSettings
+from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError
 from gctd3.evaluation.robustness import DIRECTIONS, Examination, Perturbations, largest, table, weakest
-from gctd3.tasks.reward import Reward
 
 FEW = Perturbations(impulses=(0.5, 300.0), phases=2, starts=3, settle=0.0, recover=0.1, masses=(1.2,), delays=(1,))
 
@@ -64,8 +64,8 @@ class Stepping:
 
 @pytest.fixture(scope="module")
 def examination(robot):
-    env = EnvSettings(num_envs=2, threads=1)
-    return Examination(Stepping(env.control_dt), robot, env, Reward(), 3, FEW)
+    task = walking(robot)
+    return Examination(Stepping(task.control_dt), task, EnvSettings(num_envs=2, threads=1), 3, FEW)
 
 
 def test_a_hard_shove_ends_what_a_soft_one_does_not(examination):
@@ -138,8 +138,8 @@ def test_another_librarys_task_is_refused(tmp_path, capsys):
     names = [item.split("=")[0] for item in few]
     directory = tmp_path / "run"
     drop = ["env.threads", "env.num_envs", *names]
-    assert command("train", *tiny(directory, "env=walker_walk", "env.num_envs=2", *few, without=drop)) == 0
+    assert command("train", *tiny(directory, "task=walker_walk", "env.num_envs=2", *few, without=drop)) == 0
     assert rows(directory)
     assert command("evaluate", f"run={directory}", "robustness=true") == 2
-    assert "walker-walk: robustness is for the walking task only" in capsys.readouterr().err
+    assert "walker-walk: robustness is for tasks that gctd3 simulates" in capsys.readouterr().err
     assert not (directory / "evaluation.json").exists()
