@@ -6,14 +6,16 @@ their values of the annotated types. The dataclasses check ranges themselves.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import inspect
+import logging
 import math
 import os
 import sys
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from hydra.errors import HydraException
@@ -21,6 +23,7 @@ from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
+import gctd3
 from gctd3.errors import ConfigError, suggest
 
 OWN = "gctd3"
@@ -83,9 +86,13 @@ def _build(value: Any, path: str) -> Any:  # noqa: ANN401
 def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa: ANN401
     where = path or "the configuration"
     try:
-        function = get_object(target)
+        with _silent("hydra.utils"):
+            function = get_object(target)
     except (HydraException, ImportError, ValueError, AttributeError) as error:
-        raise ConfigError(f"{where}: _target_ {target!r} cannot be imported: {error}") from error
+        # Hydra's second line is the import's own error, its third what it makes of that.
+        said = str(error).splitlines()[-1]
+        near = suggest(target, [f"{OWN}.{name}" for name in gctd3._TARGETS])
+        raise ConfigError(f"{where}: _target_ {target!r} cannot be imported: {said}{near}") from error
     # Nothing else is called, so that reading somebody's configuration cannot run a program.
     if not dataclasses.is_dataclass(function) or not isinstance(function, type):
         raise ConfigError(f"{where}: _target_ {target!r} is not a dataclass of settings.")
@@ -110,6 +117,17 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
     except ConfigError as error:
         # Targets name their own fields; the path to them is known here.
         raise ConfigError(f"{path}.{error}".lstrip(".")) from error
+
+
+@contextlib.contextmanager
+def _silent(name: str) -> Iterator[None]:
+    """Without what a logger says: it is said here."""
+    logger = logging.getLogger(name)
+    before, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = before
 
 
 def _hints(function: Callable[..., Any]) -> dict[str, Any]:
@@ -165,7 +183,7 @@ def _describe(hint: Any) -> str:  # noqa: ANN401
     if hint in (None, type(None)):
         return "null"
     if origin is not None and issubclass(origin, Mapping):
-        return f"a mapping to {_describe(inner[1])}"
+        return "a mapping" if inner[1] is Any else f"a mapping to {_describe(inner[1])}"
     if origin is not None and issubclass(origin, Sequence):
         return f"a list of {_describe(inner[0])}"
     names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
