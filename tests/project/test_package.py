@@ -25,6 +25,7 @@ ROOMS = (
     "nn",
     "objectives",
     "algorithms",
+    "setup",
     "data",
     "evaluation",
     "viz",
