@@ -21,7 +21,7 @@ from torchrl.envs import EnvBase
 import gctd3
 from gctd3.envs.factory import build_env
 from gctd3.envs.settings import EnvSettings
-from gctd3.tasks.reward import Reward
+from gctd3.tasks.walk import WalkingTask
 
 ROBOTS, SUBSTEPS, HOLD = 64, 4, 5
 
@@ -81,20 +81,20 @@ def main() -> None:
     given = options(out="", rounds="5", sizes="1,16,64,256,1024")
     torch.set_num_threads(1)
     robot = gctd3.Robot.from_mjcf("biped")
+    task = WalkingTask(robot)
     work = {"bare mj_step loop, 64 robots, 1 thread": bare(robot, 40)}
     for threads in (1, 2):
         for size in (int(text) for text in given["sizes"].split(",")):
             settings = EnvSettings(num_envs=size, threads=threads)
             steps = max(20, min(200, 4096 // size))
             name = f"batched TorchRL env, {size} robots, {threads} thread{'s'[: threads - 1]}"
-            work[name] = torchrl(build_env(robot, settings, Reward(), 0), steps)
-    work["dm_control TorchRL env, 1 robot"] = torchrl(
-        build_env(robot, EnvSettings(backend="dm_control", num_envs=1), Reward(), 0), 100
-    )
+            work[name] = torchrl(build_env(task, settings, 0), steps)
+    single = EnvSettings(backend="dm_control", num_envs=1)
+    work["dm_control TorchRL env, 1 robot"] = torchrl(build_env(task, single, 0), 100)
     batch = gymnasium.make_vec("gctd3/Biped-v0", num_envs=ROBOTS, threads=1)
     work["Gymnasium vector env, 64 robots, 1 thread"] = vector(batch, 60)
-    single = gymnasium.make_vec("gctd3/Biped-v0", num_envs=16, vectorization_mode="sync")
-    work["Gymnasium SyncVectorEnv of 16 single envs"] = vector(single, 30)
+    sync = gymnasium.make_vec("gctd3/Biped-v0", num_envs=16, vectorization_mode="sync")
+    work["Gymnasium SyncVectorEnv of 16 single envs"] = vector(sync, 30)
 
     found = rates(work, int(given["rounds"]))
     base, slow = found["bare mj_step loop, 64 robots, 1 thread"], found["dm_control TorchRL env, 1 robot"]

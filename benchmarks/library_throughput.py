@@ -27,9 +27,11 @@ from torchrl.envs import (
 )
 
 from gctd3.envs.factory import build_env
+from gctd3.envs.library import make_robot
 from gctd3.envs.library_robots import observed
 from gctd3.envs.nodes import with_nodes
-from gctd3.envs.settings import Library, LibrarySettings
+from gctd3.envs.settings import EnvSettings, Library, LibrarySettings
+from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.reward import Reward
 
 TASKS: dict[str, Library] = {
@@ -40,11 +42,11 @@ TASKS: dict[str, Library] = {
 }
 
 
-def stock(settings: LibrarySettings) -> EnvBase:
-    """The task of TorchRL's own parts; the task's own observation is ``"flat"``."""
+def stock(settings: LibrarySettings, robots: int) -> EnvBase:
+    """The task on some robots of TorchRL's own parts; the task's own observation is ``"flat"``."""
 
     def one() -> EnvBase:
-        env = settings.make()
+        env = make_robot(settings.library, settings.name)
         own = observed(env)
         noded = with_nodes(env, static=settings.static)
         if numbers := [key for key in own if not env.observation_spec[key].shape]:
@@ -53,7 +55,7 @@ def stock(settings: LibrarySettings) -> EnvBase:
         return noded
 
     stack = CatFrames(N=settings.history, dim=-1, in_keys=["nodes"], padding="same")
-    env = SerialEnv(settings.num_envs, one)
+    env = SerialEnv(robots, one)
     return TransformedEnv(env, Compose(DoubleToFloat(), InitTracker(), StepCounter(), stack))
 
 
@@ -77,20 +79,20 @@ def main() -> None:
     torch.set_num_threads(1)
     sizes = [int(text) for text in given["sizes"].split(",")]
     work = {}
-    for task, library in TASKS.items():
+    for name, library in TASKS.items():
+        settings = LibrarySettings(library=library, name=name)
+        task = settings.build(RobotSettings(), Reward())
         for size in sizes:
-            settings = LibrarySettings(library, task, num_envs=size)
-            work[f"{task}, {size}, ours"] = stepped(
-                build_env(settings.load_robot(), settings, Reward(), 0), 400 // size
-            )
-            work[f"{task}, {size}, TorchRL"] = stepped(stock(settings), 400 // size)
+            ours = build_env(task, EnvSettings("library", num_envs=size), 0)
+            work[f"{name}, {size}, ours"] = stepped(ours, 400 // size)
+            work[f"{name}, {size}, TorchRL"] = stepped(stock(settings, size), 400 // size)
     found = rates(work, int(given["rounds"]))
     print(f"{'task, robots':24}{'TorchRL, steps/s':>18}{'ours, steps/s':>16}{'ratio':>8}")
     for name, rate in found.items():
         if name.endswith("TorchRL"):
             case = name.removesuffix(", TorchRL")
-            ours = found[f"{case}, ours"]
-            print(f"{case:24}{rate:>18,.0f}{ours:>16,.0f}{ours / rate:>8.2f}")
+            quick = found[f"{case}, ours"]
+            print(f"{case:24}{rate:>18,.0f}{quick:>16,.0f}{quick / rate:>8.2f}")
     report("library_throughput", {"unit": "control steps per second, median", "rates": found}, given["out"])
 
 

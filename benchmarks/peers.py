@@ -64,9 +64,9 @@ class Judge:
 
     def __init__(self, settings: TrainSettings, run: Path, minutes: float, threads: int) -> None:
         self.settings, self.run = settings, run
-        self.robot = settings.load_robot()
+        self.task = settings.setup().task.judged_by(settings.evaluation.reward)
         judged = settings.env.judging(settings.evaluation.episodes, threads)
-        self.env = build_env(self.robot, judged, settings.evaluation.reward, settings.evaluation.seed)
+        self.env = build_env(self.task, judged, settings.evaluation.seed)
         self.began = time.monotonic()
         self.ends = self.began + 60 * minutes
         self.next = settings.evaluation.every
@@ -84,7 +84,7 @@ class Judge:
         self.next += self.settings.evaluation.every
         policy = TensorDictModule(lambda nodes: act(nodes.flatten(-2)), in_keys=["nodes"], out_keys=["action"])
         wall = time.monotonic() - self.began
-        result = evaluate(policy, self.env, self.robot, self.settings.evaluation.seed, self.settings.env.control_dt)
+        result = evaluate(policy, self.env, self.task, self.settings.evaluation.seed)
         row = {"frames": frames, "updates": updates, "wall_s": round(wall, 2), **result.summary(), **result.gait()}
         file = self.run / PROGRESS
         new = not file.exists()

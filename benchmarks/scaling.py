@@ -27,7 +27,7 @@ from gctd3.algorithms.settings import TD3Settings
 from gctd3.envs.factory import build_env
 from gctd3.envs.settings import EnvSettings
 from gctd3.nn import Network
-from gctd3.tasks.reward import Reward
+from gctd3.tasks.walk import WalkingTask
 from gctd3.training.sweep import cores
 
 FEATURES, ACTIONS = 10, 6
@@ -52,7 +52,7 @@ def random_tree(nodes: int, seed: int = 0) -> gctd3.KinematicGraph:
 
 def stepping(robots: int, threads: int) -> Callable[[], float]:
     """Steps of the environment that training uses, with resets; returns how many of all robots."""
-    env = build_env(gctd3.Robot.from_mjcf("biped"), EnvSettings(num_envs=robots, threads=threads), Reward(), 0)
+    env = build_env(WalkingTask(gctd3.Robot.from_mjcf("biped")), EnvSettings(num_envs=robots, threads=threads), 0)
     steps = min(200, max(5, FRAMES // robots))
     state = [env.reset()]
 

@@ -37,15 +37,17 @@ def walk(
     fall_tilt=0.8,
     angle_noise=0.05,
     velocity_noise=0.1,
+    ends=None,
     **settings,
 ):
-    """The paper's walk that ends at other times, or starts with other noise."""
+    """The paper's walk that ends at other times, by ``ends`` too, or starts with other noise."""
     terminations = {
         "fall": Fall(fall_height, fall_tilt),
         "long_contact": LongContact(contact_steps),
         "stuck_hip": StuckHip(hip_steps),
         "finish": Finish(finish),
         "time_limit": TimeLimit(time_limit),
+        **(ends or {}),
     }
     noise = {"joint_noise": JointNoise(angle_noise, velocity_noise)}
     return WalkSettings(terminations=terminations, randomisations=noise, **settings)

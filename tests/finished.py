@@ -14,7 +14,7 @@ from filelock import FileLock
 from running import train
 
 # A library's episodes have no falls in so few frames, and an evaluation is as long as they are.
-LIBRARY = ["env=walker2d", "env.num_envs=2", "evaluation.episodes=1", "evaluation.every=200", "total_frames=120"]
+LIBRARY = ["task=walker2d", "env.num_envs=2", "evaluation.episodes=1", "evaluation.every=200", "total_frames=120"]
 # What each run is trained with besides running.TINY, and what of TINY does not apply to it.
 RUNS = {
     "gctd3": (["algo=gctd3"], ()),

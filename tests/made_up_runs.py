@@ -10,8 +10,8 @@ def make(root, name, returns=500.0, *, overrides=(), evaluation=True, change=Non
         "seed": int(name[-1]),
         "threads": int(name[-1]),
         "robot": {"name": "biped", "feet": None, "forward": None, "graph": "tree"},
-        "env": {"_target_": "gctd3.EnvSettings", "control_dt": 0.02, "endings": {"fall_height": -0.1}},
-        "evaluation": {"reward": {"fall": 10.0}, "episodes": 10},
+        "task": {"_target_": "gctd3.WalkSettings", "control_dt": 0.02, "terminations": {"fall": {"height": -0.1}}},
+        "evaluation": {"reward": {"terms": {"fall": {"weight": -10.0}}}, "episodes": 10},
         "algo": {"tau": 0.005},
     }
     for key, value in (change or {}).items():

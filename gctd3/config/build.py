@@ -6,18 +6,21 @@ their values of the annotated types. The dataclasses check ranges themselves.
 
 from __future__ import annotations
 
+import contextlib
 import inspect
+import logging
 import math
 import os
 import sys
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
+import gctd3
 from gctd3.config.fields import TARGET, describe, find, is_settings
 from gctd3.errors import ConfigError, suggest
 
@@ -83,7 +86,8 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
     try:
         function = find(target)
     except ImportError as error:
-        raise ConfigError(f"{where}: _target_ {target!r} cannot be imported: {error}") from error
+        near = suggest(target, [f"{OWN}.{name}" for name in vars(gctd3)["_TARGETS"]])
+        raise ConfigError(f"{where}: _target_ {target!r} cannot be imported: {error}{near}") from error
     # Nothing else is called, so that reading somebody's configuration cannot run a program.
     if not is_settings(function):
         raise ConfigError(f"{where}: _target_ {target!r} is not a dataclass of settings.")
@@ -108,6 +112,17 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
     except ConfigError as error:
         # Targets name their own fields; the path to them is known here.
         raise ConfigError(f"{path}.{error}".lstrip(".")) from error
+
+
+@contextlib.contextmanager
+def _silent(name: str) -> Iterator[None]:
+    """Without what a logger says: it is said here."""
+    logger = logging.getLogger(name)
+    before, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = before
 
 
 def _hints(function: Callable[..., Any]) -> dict[str, Any]:

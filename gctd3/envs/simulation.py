@@ -67,7 +67,8 @@ class Simulation:
         self.now: Measurement = task.measure(
             self.state[:, self._qpos], self.state[:, self._qvel], np.zeros((num_robots, self.model.nsensordata))
         )
-        self.memory: Memory = task.begin(self.now, self.rng)
+        # By a generator of its own: this is nobody's episode yet, and the first one is the seed's.
+        self.memory: Memory = task.begin(self.now, np.random.default_rng(seed))
 
     @property
     def qpos(self) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, cast
 import torch
 from torch import Tensor, nn
 
+from gctd3.errors import ConfigError
 from gctd3.nn.encoder import GraphEncoder
 from gctd3.nn.network import make_encoder, make_head, make_pooled_readout, make_symmetry
 from gctd3.nn.readout import PooledReadout
@@ -35,6 +36,9 @@ class Critic(nn.Module):
         privileged_dim: Length of the extra input.
         reflection: How the robot looks in the mirror, if ``network.equivariant``.
 
+    Raises:
+        ConfigError: If the reflection is missing, or of other inputs.
+
     Shapes:
         inputs ``[*, N, F]``, ``[*, A]`` and, if ``privileged_dim > 0``, ``[*, privileged_dim]``; output ``[*, 1]``.
     """
@@ -56,6 +60,13 @@ class Critic(nn.Module):
         else:
             self.head = make_head(network, self.encoder.out_features + action_dim + privileged_dim, 1)
         self.symmetry = make_symmetry(network, reflection, in_features, action_dim, per_action=0)
+        if self.symmetry is not None and reflection is not None:
+            reflected = len(reflection.counters.source)
+            if privileged_dim not in (0, reflected):
+                raise ConfigError(
+                    f"equivariant: true needs a reflection of all {privileged_dim} numbers of the extra input, got one "
+                    f"of {reflected}: a task's own is task.reflection()."
+                )
 
     def forward(self, nodes: Tensor, action: Tensor, *privileged: Tensor) -> Tensor:
         """Value of ``action`` in the state ``nodes``; ``[E, *, 1]`` with parameters stacked to ``[E, ...]``."""

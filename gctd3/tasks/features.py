@@ -261,7 +261,7 @@ class FeatureTable:
         for name, feature in features.items():
             if feature.kind not in KINDS:
                 raise ConfigError(
-                    f"features.{name}: there are no nodes of kind {feature.kind!r}; kinds: {', '.join(KINDS)}."
+                    f"task.features.{name}: there are no nodes of kind {feature.kind!r}; kinds: {', '.join(KINDS)}."
                 )
             nodes = [i for i, kind in enumerate(kinds) if kind == feature.kind]
             if not nodes:
@@ -269,7 +269,7 @@ class FeatureTable:
             said = feature.readings(robot, tuple(graph.nodes[i] for i in nodes))
             if len(said) != len(nodes) or len({len(row) for row in said}) != 1:
                 raise ConfigError(
-                    f"features.{name} must say as many readings for each of {len(nodes)} nodes, got {said!r}."
+                    f"task.features.{name} must say as many readings for each of {len(nodes)} nodes, got {said!r}."
                 )
             width, start = len(said[0]), filled[feature.kind]
             filled[feature.kind] += width
@@ -278,7 +278,7 @@ class FeatureTable:
                 rows[node] += row
         self.width = max(map(len, rows))
         if not self.width:
-            raise ConfigError("features must hold at least one feature that a node of the robot has, got none.")
+            raise ConfigError("task.features must hold at least one feature that a node of the robot has, got none.")
         self.readings = [row + [None] * (self.width - len(row)) for row in rows]
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
@@ -292,11 +292,17 @@ class FeatureTable:
     def check(self, sensed: Sensed) -> None:
         """Raise a :class:`.ConfigError` unless every feature returns finite numbers of the shape that it says."""
         for name, feature, nodes, _, width in self._placed:
-            values = np.asarray(feature(sensed))
+            try:
+                values = np.asarray(feature(sensed))
+            except KeyError as error:
+                known = ", ".join(sensed.memory)
+                raise ConfigError(
+                    f"task.features.{name} reads {error}, which is not remembered. Remembered: {known}."
+                ) from error
             expected = (*sensed.now.position.shape, len(nodes), width)
             if values.shape != expected or not np.isfinite(values).all():
                 raise ConfigError(
-                    f"features.{name} must return finite numbers of shape {list(expected)}, got "
+                    f"task.features.{name} must return finite numbers of shape {list(expected)}, got "
                     f"{list(values.shape)} {values.dtype}."
                 )
 

@@ -9,7 +9,7 @@ import numpy as np
 from gctd3.errors import ConfigError
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.terminations import STEPS
-from gctd3.tasks.terms import Command, Remembered, RobotFacts, Step, Term
+from gctd3.tasks.terms import Command, Remembered, RobotFacts, Step, Term, reading
 
 Memory = dict[str, np.ndarray]  # by name; every array is overwritten by the next, none changes in place
 Generator = np.random.Generator | np.random.RandomState
@@ -37,6 +37,7 @@ class EpisodeMemory:
                 if known != one or one.name == STEPS or one.name.startswith(COMMAND):
                     raise ConfigError(f"{where} and {asked} remember different things by the name {one.name!r}.")
         self.remembered = {name: one for name, (_, one) in found.items()}
+        self.asked = {name: where for name, (where, _) in found.items()}
 
     def begin(self, now: Measurement, rng: Generator | None = None) -> Memory:
         """Return the memory of an episode that starts with a measurement; see :meth:`.SimulatedTask.begin`."""
@@ -55,21 +56,21 @@ class EpisodeMemory:
             after |= self._next(name, command, before, rng)
         return after
 
-    def check(self, first: Memory, after: Memory, shape: tuple[int, ...]) -> None:
+    def check(self, first: Memory, step: Step) -> None:
         """Raise a :class:`.ConfigError` unless arrays are of the shape that is declared, and stay of their type.
 
         Args:
             first: Of :meth:`begin`.
-            after: Of :meth:`advance`, after it.
-            shape: Of the robots.
+            step: After it.
         """
         for name, one in self.remembered.items():
-            expected = (*shape, *map(self.facts.size, one.shape))
-            for when, values in (("at a reset", first[name]), ("after a step", after[name])):
-                if np.shape(values) != expected or values.dtype != first[name].dtype:
+            expected = (*step.now.position.shape, *map(self.facts.size, one.shape))
+            after = reading(self.asked[name], one.update, step, first[name])
+            for when, values in (("at a reset", first[name]), ("after a step", np.asarray(after))):
+                if values.shape != expected or values.dtype != first[name].dtype:
                     raise ConfigError(
-                        f"{name!r} must be remembered as {list(expected)} {first[name].dtype}, got "
-                        f"{list(np.shape(values))} {values.dtype} {when}."
+                        f"{self.asked[name]} must remember {name!r} as {list(expected)} {first[name].dtype}, got "
+                        f"{list(values.shape)} {values.dtype} {when}."
                     )
 
     def _drawn(self, name: str, command: Command, shape: tuple[int, ...], rng: Generator | None) -> Memory:

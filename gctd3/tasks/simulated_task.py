@@ -24,7 +24,7 @@ from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import Ability, TaskSettings
 from gctd3.tasks.terminations import MOST_STEPS, STEPS, TimeLimit
-from gctd3.tasks.terms import Command, Randomisation, RobotFacts, Step, Termination, check_terms
+from gctd3.tasks.terms import Command, Randomisation, RobotFacts, Step, Termination, check_terms, reading
 
 
 @dataclass(frozen=True)
@@ -139,20 +139,22 @@ class SimulatedTask:
         rng = np.random.default_rng(0)
         first = self.begin(now, rng)
         self.table.check(Sensed(now, first, self.facts))
+        nothing = np.zeros((*batch, self.facts.actions)), np.zeros(batch, dtype=bool)
+        step = Step(now, first, {}, *nothing, self.facts, {})
         with np.errstate(all="ignore"):
-            after, outcome = self.advance(first, now, np.zeros((*batch, self.facts.actions)), rng=rng)
-        self.memory.check(first, after, batch)
-        for name, value in outcome.terms.items():
-            if np.shape(value) != batch or np.asarray(value).dtype.kind not in "fiu":
-                raise ConfigError(
-                    f"reward.terms.{name} must return one number for each of {batch[0]} robots, got "
-                    f"{list(np.shape(value))} {np.asarray(value).dtype}."
-                )
-        step = Step(now, first, after, np.zeros((*batch, self.facts.actions)), np.zeros(batch, bool), self.facts, {})
-        for name, term in self.terminations.items():
-            value = term(step)
-            if np.shape(value) != batch or value.dtype != bool:
-                raise ConfigError(f"task.terminations.{name} must return true or false for each robot, got {value!r}.")
+            self.memory.check(first, step)
+            step = replace(step, after=self.memory.advance(step, rng))
+            ended = {f"task.terminations.{name}": term for name, term in self.terminations.items()}
+            held = {where: reading(where, term, step) for where, term in ended.items()}
+            step = replace(step, ended=dict(zip(self.terminations, held.values(), strict=True)))
+            paid = {f"reward.terms.{n}": reading(f"reward.terms.{n}", term, step) for n, term in self.terms.items()}
+        for values, kinds, asked in ((held, "b", "true or false"), (paid, "fiu", "a number")):
+            for where, value in values.items():
+                if np.shape(value) != batch or np.asarray(value).dtype.kind not in kinds:
+                    raise ConfigError(
+                        f"{where} must return {asked} for each robot, shape {list(batch)}, got "
+                        f"{list(np.shape(value))} {np.asarray(value).dtype}."
+                    )
         self.num_counters = self.counters(first).shape[-1]
 
     # Measuring.
@@ -171,10 +173,11 @@ class SimulatedTask:
             position=place["forward"],
             height=place["height"],
             velocity=np.asarray(read["forward"][1]),
-            angles=qpos[..., self._qpos],
-            velocities=qvel[..., self._qvel],
-            feet_down=sensordata[..., self._feet] > 0,
-            other_down=np.asarray((sensordata[..., self._others] > 0).any(axis=-1)),
+            # Not by indexing, whose results lie in another order than those of a checkpoint: sums would differ by bits.
+            angles=qpos.take(self._qpos, axis=-1),
+            velocities=qvel.take(self._qvel, axis=-1),
+            feet_down=sensordata.take(self._feet, axis=-1) > 0,
+            other_down=np.asarray((sensordata.take(self._others, axis=-1) > 0).any(axis=-1)),
             base=base,
             tilt=tilt,
         )

@@ -286,6 +286,20 @@ class Randomisation(Term):
         """Return the pose ``[nq]`` and velocities ``[nv]`` of one robot with which its episode begins."""
 
 
+def reading(where: str, term: Callable[..., Array], step: Step, *beside: Array) -> Array:
+    """Call a term for the first time.
+
+    Raises:
+        ConfigError: If it reads what is not remembered; the message names it and what is.
+    """
+    try:
+        return term(*beside, step)
+    except KeyError as error:
+        raise ConfigError(
+            f"{where} reads {error}, which is not remembered. Remembered: {', '.join(step.before)}."
+        ) from error
+
+
 def check_terms(where: str, terms: Mapping[str, Any], kind: type[Term]) -> dict[str, Any]:
     """Check that a mapping holds terms of one kind by name; one that is ``None`` is left out.
 

@@ -174,6 +174,10 @@ class TrainSettings:
         if self.env.backend != "library":
             substeps_of(task.control_dt, task.robot)
         self.exploration.check_robot(task.robot, task.control_dt)
+        try:
+            task.judged_by(self.evaluation.reward)
+        except ConfigError as error:
+            raise ConfigError(f"evaluation.{error}") from error
         setup = Setup(task, self.network, self.algo.privileged_critic)
         if self.replay.mirror or self.network.equivariant:
             _ = setup.reflection

@@ -229,8 +229,9 @@ def test_an_interrupt_ends_the_trainings_and_reports_what_was_over(race, tmp_pat
 
 def test_peers_are_judged_for_the_default_trainings_rewards():
     settings = importlib.import_module("peers").shared_settings(every=123, episodes=5)
-    assert settings.reward.living == -0.5
-    assert (settings.evaluation.reward.living, settings.evaluation.every, settings.evaluation.episodes) == (0.1, 123, 5)
+    assert settings.reward.terms["living"].weight == 0.5
+    assert (settings.evaluation.every, settings.evaluation.episodes) == (123, 5)
+    assert settings.evaluation.reward.terms["living"].weight == -0.1
 
 
 def test_stock_torchrl_trains_and_is_judged(tmp_path):

@@ -41,7 +41,7 @@ def sides(recipe, algo):
 
     values = recipe.Recipe(hidden=(24, 16), batch_size=BATCH, capacity=1000, learning_rate=1e-3, tau=0.05)
     ours = build(composed(*recipe.ours(algo, "halfcheetah", values)))
-    algorithm, model = ours.algo.build(ours.architecture()), recipe.theirs(algo, "halfcheetah", values, seed=0)
+    algorithm, model = ours.algo.build(ours.setup().architecture()), recipe.theirs(algo, "halfcheetah", values, seed=0)
     model.set_logger(Logger(None, []))
     return algorithm, model
 

@@ -56,7 +56,7 @@ def sides(recipe, algo):
     pytest.importorskip("stable_baselines3")
     unusual = recipe.Recipe(**UNUSUAL)
     ours = build(composed(*recipe.ours(algo, "halfcheetah", unusual)))
-    return ours, ours.algo.build(ours.architecture()), recipe.theirs(algo, "halfcheetah", unusual, seed=0)
+    return ours, ours.algo.build(ours.setup().architecture()), recipe.theirs(algo, "halfcheetah", unusual, seed=0)
 
 
 def weights(module):

@@ -27,8 +27,15 @@ TD3 = {"overrides": ["algo=td3"], "change": {"algo.tau": 0.01}}
     "change, said",
     [
         ({"robot.name": "quadruped"}, "robot, robot.name: biped in a0; quadruped in b0"),
-        ({"evaluation.reward": {"fall": 5.0}}, "evaluation reward, evaluation.reward.fall: 10.0 in a0; 5.0 in b0"),
-        ({"env.endings": {"fall_height": -0.2}}, "endings, env.endings.fall_height: -0.1 in a0; -0.2 in b0"),
+        (
+            {"evaluation.reward.terms.fall.weight": -5.0},
+            "evaluation reward, evaluation.reward.terms.fall.weight: -10.0 in a0; -5.0 in b0",
+        ),
+        (
+            {"task.terminations.fall.height": -0.2},
+            "terminations, task.terminations.fall.height: -0.1 in a0; -0.2 in b0",
+        ),
+        ({"task.control_dt": 0.04}, "task, task.control_dt: 0.02 in a0; 0.04 in b0"),
     ],
 )
 def test_runs_that_do_not_belong_together_are_refused(tmp_path, change, said):

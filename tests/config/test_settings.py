@@ -15,12 +15,12 @@ from gctd3.config.fields import defaults_of, describe, find, is_settings, settin
 from gctd3.config.help import COMMANDS, root_of
 from gctd3.config.presets import groups, presets
 from gctd3.data.settings import ExplorationSettings, InlineSettings, ReplaySettings
-from gctd3.envs.settings import Start
 from gctd3.evaluation.settings import Perturbations
 from gctd3.nn.settings import Network
 from gctd3.robots.settings import RobotSettings
 from gctd3.runs.settings import EvaluateSettings
-from gctd3.tasks.reward import Endings, Reward
+from gctd3.tasks.reward import Reward
+from gctd3.tasks.walk import WalkSettings
 from gctd3.training.settings import TrainSettings
 from gctd3.training.stop_when import StopWhen
 
@@ -59,7 +59,7 @@ def test_any_algorithm_takes_any_network(algorithm, network):
     settings = build(composed(f"algo={algorithm}", f"network={network}"))
     assert bool(settings.network.graph_layers) == (network != "mlp")
     assert isinstance(settings.algo, AlgorithmSettings)
-    assert settings.algo.build(settings.architecture()).optimizers.keys() >= {"actor", "critic"}
+    assert settings.algo.build(settings.setup().architecture()).optimizers.keys() >= {"actor", "critic"}
 
 
 @pytest.mark.parametrize("algorithm, network", [("gctd3", "gcn"), ("td3", "mlp"), ("ddpg", "mlp"), ("sac", "mlp")])
@@ -73,6 +73,16 @@ def test_an_algorithm_brings_its_network_and_its_noise(algorithm, network):
 @pytest.mark.parametrize("experiment", sorted(file.stem for file in (CONF / "experiment").glob("*.yaml")))
 def test_any_algorithm_takes_any_experiment(experiment, algorithm):
     build(composed(f"experiment={experiment}", f"algo={algorithm}"))
+
+
+@pytest.mark.parametrize("task", ["walker_walk", "walker2d", "halfcheetah", "ant"])
+def test_a_librarys_task_brings_what_goes_with_it(task):
+    settings = build(composed(f"task={task}"))
+    assert (settings.env.backend, settings.env.num_envs) == ("library", 8)
+    assert settings.exploration.warmup == "uniform" and not settings.replay.mirror
+    assert settings.stop_when.evaluations is None
+    # What is asked for comes before it.
+    assert build(composed(f"task={task}", "env.num_envs=3")).env.num_envs == 3
 
 
 def test_perturbations_build():
@@ -93,23 +103,23 @@ def test_yaml_and_python_agree(default):
     assert settings.network == Network() and settings.algo == TD3Settings()
     assert settings.exploration == ExplorationSettings() and settings.replay == ReplaySettings()
     assert settings.collector == InlineSettings() and settings.robot == RobotSettings()
-    assert settings.env.endings == Endings() and settings.env.start == Start()
     assert build(composed("reward=paper")).reward == Reward()
     assert build(composed("stop_when=never")).stop_when == StopWhen()
+    assert build(default).task == WalkSettings()
 
 
 def test_python_builds_the_network_that_training_does(default, graph):
     settings = build(default)
     sizes = {name: value.shape for name, value in gctd3.make_actor(graph).state_dict().items()}
-    trained = settings.algo.build(settings.architecture()).actor.state_dict()
+    trained = settings.algo.build(settings.setup().architecture()).actor.state_dict()
     assert sizes == {name: value.shape for name, value in trained.items()}
 
 
 # Every key is explained, differs from its default, and is read.
 
 PRESETS = [preset for group in groups() if not group.startswith("hydra/") for preset in presets(group)]
-# Groups whose YAMLs still say every key.
-FULL = ("env", "reward", "robot")
+# Groups whose YAMLs compose terms, or change any other group.
+FULL = ("reward", "task", "robot")
 
 
 SPARE = [preset for preset in PRESETS if preset.group not in FULL]

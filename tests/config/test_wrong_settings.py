@@ -24,13 +24,17 @@ def fails(config):
 
 # Mistakes.
 
+# Mappings of terms by names that may be any.
+OF_TERMS = ["reward.terms", "evaluation.reward.terms"]
+OF_TERMS += [f"task.{kind}" for kind in ("features", "terminations", "randomisations", "commands")]
+
 
 def test_a_misspelt_key_is_named_with_the_nearest_one(default):
     checked = 0
     for key, _ in items(default):
         parent, _, name = key.rpartition(".")
-        if parent in ("stop_when.at_least", "stop_when.at_most"):
-            continue  # names of metrics
+        if parent in ("stop_when.at_least", "stop_when.at_most", *OF_TERMS):
+            continue  # names of metrics, and names that are one's own
         wrong = name[:-1] + name[-1] * 2
         message = fails(edited(default, key, rename=wrong))
         assert f"{parent}.{wrong}".lstrip(".") in message
@@ -41,7 +45,7 @@ def test_a_misspelt_key_is_named_with_the_nearest_one(default):
 
 def test_nothing_like_a_key_is_only_told_what_is_accepted(default):
     message = fails(edited(default, "zzz", 1))
-    assert "Unknown key 'zzz'. Accepted: robot, env, reward" in message
+    assert "Unknown key 'zzz'. Accepted: robot, task, env, reward" in message
     assert suggest("learning_rat", ["learning_rate", "tau"]) == " Did you mean 'learning_rate'?"
     assert suggest("zzz", ["learning_rate", "tau"]) == ""
 
@@ -53,7 +57,8 @@ def test_a_value_of_the_wrong_type_is_named(default):
         if key.startswith(("stop_when.at_least.", "stop_when.at_most.")):
             continue  # checked as one mapping, below
         message = fails(edited(default, key, {"no": "setting"}))
-        assert message.startswith(f"{key} must be ") and "{'no': 'setting'}" in message
+        named, shown = (f"{key}.no", "got 'setting'") if key in OF_TERMS else (key, "got {'no': 'setting'}")
+        assert message.startswith(f"{named} must be ") and shown in message
         checked += 1
     assert checked > 60
 
@@ -73,7 +78,7 @@ def test_a_value_of_the_wrong_type_is_named(default):
         ("network.hidden", [256, "wide"], "network.hidden must be a list of a whole number, got (256, 'wide')."),
         ("exploration.noise", [0.1, None], "exploration.noise must be a list of a number or null, got (0.1, None)."),
         ("stop_when.at_least", {"return_mean": "high"}, "stop_when.at_least must be a mapping to a number"),
-        ("env.backend", "isaac", "env.backend must be one of batched, dm_control, got 'isaac'."),
+        ("env.backend", "isaac", "env.backend must be one of batched, dm_control, library, got 'isaac'."),
         ("logger", "paper", "logger must be one of csv, tensorboard, wandb, mlflow, none, got 'paper'."),
         ("algo", {"tau": 0.1}, "algo must be a AlgorithmSettings (a mapping with its _target_), got {'tau': 0.1}."),
     ],
@@ -83,10 +88,12 @@ def test_what_is_said_of_a_wrong_type(default, key, value, expected):
 
 
 BAD = {
-    "env.num_envs": 0, "env.history": -1, "env.control_dt": 0.0, "env.threads": 0,
-    "env.endings.contact_steps": 0, "env.endings.hip_steps": 0, "env.endings.finish": 0.0, "env.endings.time_limit": 0,
-    "env.start.angle_noise": -0.1, "env.start.velocity_noise": -0.1,
-    "reward.frames": 0, "reward.progress_steps": 0, "evaluation.reward.frames": 0,
+    "env.num_envs": 0, "task.history": -1, "task.control_dt": 0.0, "env.threads": 0,
+    "task.terminations.long_contact.steps": 0, "task.terminations.stuck_hip.steps": 0,
+    "task.terminations.finish.distance": 0.0, "task.terminations.time_limit.steps": 0,
+    "task.randomisations.joint_noise.angle": -0.1, "task.randomisations.joint_noise.velocity": -0.1,
+    "reward.terms.height.frames": 0, "reward.terms.flight.frames": 0, "reward.terms.progress.steps": 0,
+    "evaluation.reward.terms.height.frames": 0,
     "algo.learning_rate": 0.0, "algo.tau": 1.5, "algo.gamma": 1.0, "algo.policy_delay": 0, "algo.policy_noise": -0.2,
     "network.graph_layers": [0], "network.hidden": [],
     "exploration.warmup_frames": -1, "exploration.hold": 0, "exploration.frequency": [2.0, 1.0],
@@ -133,7 +140,7 @@ def test_settings_that_do_not_fit_one_another(default):
     )
 
 
-@pytest.mark.parametrize("key", ["robot", "env", "reward", "algo", "network", "replay", "evaluation.reward"])
+@pytest.mark.parametrize("key", ["robot", "task", "env", "reward", "algo", "network", "replay", "evaluation.reward"])
 def test_a_missing_key_is_named(default, key):
     where, _, name = key.rpartition(".")
     assert fails(edited(default, key, drop=True)) == f"{where or 'the configuration'} lacks {name}."
@@ -146,5 +153,5 @@ def test_a_mandatory_value_that_was_not_given_is_named():
 
 @pytest.mark.parametrize("target", ["gctd3.nowhere.X", "gctd3.nn.Nothing", "", "gctd3.nn", "gctd3.__version__", None])
 def test_a_target_that_is_none(default, target):
-    message = fails(edited(default, "env.start._target_", target))
-    assert message.startswith("env.start") and "_target_" in message and repr(target) in message
+    message = fails(edited(default, "task.randomisations.joint_noise._target_", target))
+    assert message.startswith("task.randomisations.joint_noise") and "_target_" in message and repr(target) in message

@@ -5,17 +5,15 @@ import itertools
 import numpy as np
 import pytest
 import torch
+from compositions import env_of
 from robots import opposite_axes
 from tensordict import TensorDict
 from torchrl.collectors import Collector
 
 from gctd3.data.exploration import Explorer, Rhythm
 from gctd3.data.settings import ExplorationSettings
-from gctd3.envs.factory import build_env
-from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError
 from gctd3.nn import make_actor, make_stochastic_actor
-from gctd3.tasks.reward import Reward
 
 DT = 0.02
 
@@ -257,10 +255,10 @@ def test_a_policy_that_is_random_by_itself_is_drawn_from(robot, graph):
     torch.testing.assert_close(drawn.std(dim=0), seen["scale"][0], rtol=0.15, atol=0.0)
 
 
-def test_it_is_the_live_actor_that_acts(robot, actor):
+def test_it_is_the_live_actor_that_acts(robot, task, actor):
     """Also in a collector, which could have copied it."""
     explore = explorer(robot, actor, warmup_frames=0, noise=None)
-    env = build_env(robot, EnvSettings(num_envs=4, threads=1), Reward(), seed=0)
+    env = env_of(task)
     collector = Collector(env, explore, frames_per_batch=4, total_frames=12)
     for collected in collector:
         expected = actor(TensorDict({"nodes": collected["nodes"]}, collected.batch_size))["action"]

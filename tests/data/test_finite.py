@@ -5,18 +5,15 @@ import csv
 import numpy as np
 import pytest
 import torch
+from compositions import env_of, walking
 from running import Recorded, command, rows, tiny, train
 from torchrl.envs import Compose, Transform, TransformedEnv
 
 from gctd3.envs import dmc
 from gctd3.envs.check import CheckStep
-from gctd3.envs.factory import build_env
-from gctd3.envs.settings import EnvSettings, Start
 from gctd3.envs.simulation import BEGINNING, Simulation
 from gctd3.errors import NumericalError
 from gctd3.files import load_tree, read_manifest
-from gctd3.tasks.reward import Reward
-from gctd3.tasks.walk import WalkingTask
 from gctd3.training.checkpoint import Checkpoints
 
 STEP = 25  # control steps of the four robots before the fault: 100 frames, after the warm-up
@@ -172,9 +169,9 @@ POISONS = {
 
 @pytest.mark.parametrize("backend", ["batched", "dm_control"])
 @pytest.mark.parametrize("case", POISONS)
-def test_a_spoiled_step_is_found(robot, case, backend):
+def test_a_spoiled_step_is_found(task, case, backend):
     key, change, said = POISONS[case]
-    env = build_env(robot, EnvSettings(backend=backend, num_envs=4, threads=1), Reward(), 0)
+    env = env_of(task, backend=backend)
     checked = TransformedEnv(
         env.base_env, Compose(*[t.clone() for t in env.transform], Poison(key, change), CheckStep())
     )
@@ -183,8 +180,8 @@ def test_a_spoiled_step_is_found(robot, case, backend):
 
 
 @pytest.mark.parametrize("value, said", [(1.5, "action of robot 2 is 1.5 in step 1, outside"), (torch.nan, "is nan")])
-def test_an_action_out_of_its_range_is_found(robot, value, said):
-    env = build_env(robot, EnvSettings(num_envs=4, threads=1, check=True), Reward(), 0)
+def test_an_action_out_of_its_range_is_found(task, value, said):
+    env = env_of(task, check=True)
     state = env.reset()
     state["action"] = spoil(value)(torch.zeros(4, 6))
     with pytest.raises(NumericalError, match=said):
@@ -216,8 +213,8 @@ def test_what_the_check_finds_is_kept(tmp_path, capsys):
 @pytest.mark.parametrize("age", [0, 7])
 def test_a_batched_robot_that_explodes_falls_alone(robot, age, control_dt, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    task = WalkingTask(robot, control_dt=control_dt)
-    good, bad = (Simulation(task, 4, Start(), seed=0, threads=2) for _ in range(2))
+    task = walking(robot, control_dt=control_dt)
+    good, bad = (Simulation(task, 4, seed=0, threads=2) for _ in range(2))
     actions = np.random.default_rng(0).uniform(-1, 1, (age + 3, 4, 6))
     for simulation in (good, bad):
         simulation.reset(np.ones(4, bool))
@@ -237,7 +234,7 @@ def test_a_batched_robot_that_explodes_falls_alone(robot, age, control_dt, tmp_p
 
 
 def test_a_dm_control_robot_that_explodes_falls(task):
-    env = dmc.load(task, Start(), 0)
+    env = dmc.load(task, 0)
     for age in (0, 5):
         env.reset()
         for _ in range(age):

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from compositions import env_of, walking
 from hypothesis import given
 from hypothesis import strategies as st
 from robots import opposite_axes
@@ -14,13 +15,9 @@ from gctd3.data.exploration import Explorer
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.data.replay import ENDS, KEPT, Replay
 from gctd3.data.settings import ExplorationSettings, ReplaySettings
-from gctd3.envs.factory import build_env
-from gctd3.envs.settings import EnvSettings
 from gctd3.envs.simulation import Simulation
 from gctd3.errors import ConfigError
 from gctd3.nn import make_actor
-from gctd3.tasks.reward import Endings, Reward
-from gctd3.tasks.walk import WalkingTask
 
 STORAGES = ("frames", "stacked")
 GAMMA = 0.5
@@ -143,7 +140,7 @@ def test_a_collector_may_deliver_one_step_at_a_time(robot, graph, storage):
 
     def collect(steps):
         torch.manual_seed(0)
-        env = build_env(robot, EnvSettings(num_envs=4, threads=1, endings=Endings(time_limit=9)), Reward(), seed=0)
+        env = env_of(walking(robot, time_limit=9))
         explorer = Explorer(make_actor(graph), robot, 4, ExplorationSettings(warmup_frames=40))
         settings = ReplaySettings(capacity=1000, batch_size=4, n_step=3, mirror=False, storage=storage)
         replay = Replay(settings, 0.9, history=5)
@@ -211,9 +208,13 @@ def biped(request, robot, tmp_path_factory):
     return opposite_axes(robot, tmp_path_factory.mktemp("robot"))
 
 
+def mirror_of(robot):
+    return MirrorAugmentation(walking(robot).reflection(), HISTORY)
+
+
 def mirrored_pair(robot):
     """Two robots, the second in the mirrored state of the first."""
-    task = WalkingTask(robot)
+    task = walking(robot)
     simulation = Simulation(task, 2, seed=3, threads=1)
     simulation.reset(np.ones(2, dtype=bool))
     model, state = robot.model, simulation.state
@@ -229,12 +230,12 @@ def mirrored_pair(robot):
         sensors[i] = data.sensordata
     qpos, qvel = state[:, 1 : 1 + model.nq], state[:, 1 + model.nq : 1 + model.nq + model.nv]
     simulation.now = task.measure(qpos, qvel, sensors)
-    simulation.progress = task.begin(simulation.now)
+    simulation.memory = task.begin(simulation.now)
     return simulation
 
 
 def test_reflection_is_what_the_mirrored_robot_sees(biped):
-    simulation, mirror = mirrored_pair(biped), MirrorAugmentation(biped, HISTORY)
+    simulation, mirror = mirrored_pair(biped), mirror_of(biped)
     task, (order, sign), rng = simulation.task, biped.action_mirror, np.random.default_rng(0)
     frames = [task.node_features(simulation.now)] * HISTORY
     ended, seen = False, []
@@ -246,7 +247,7 @@ def test_reflection_is_what_the_mirrored_robot_sees(biped):
         np.testing.assert_array_equal(reflected, both[1:])
         outcome = simulation.step(both)
         frames = [*frames[1:], task.node_features(simulation.now)]
-        nodes, counters = np.concatenate(frames, axis=-1), task.counters(simulation.progress)
+        nodes, counters = np.concatenate(frames, axis=-1), task.counters(simulation.memory)
         for key, values in (("nodes", nodes), ("counters", counters)):
             values = torch.from_numpy(values)
             torch.testing.assert_close(mirror.reflect(key, values[:1]), values[1:], rtol=0.0, atol=1e-5)
@@ -260,7 +261,7 @@ def test_reflection_is_what_the_mirrored_robot_sees(biped):
 
 @pytest.mark.parametrize("key, shape", [("nodes", (8, 2 * HISTORY)), ("counters", (4,)), ("action", (6,))])
 def test_reflecting_twice_changes_nothing(biped, key, shape):
-    mirror, values = MirrorAugmentation(biped, HISTORY), torch.randn(5, *shape)
+    mirror, values = mirror_of(biped), torch.randn(5, *shape)
     once = mirror.reflect(key, values)
     assert not torch.equal(once, values)
     assert torch.equal(mirror.reflect(key, once), values)
@@ -277,7 +278,7 @@ def transitions(size):
 
 @pytest.mark.parametrize("size", [6, 7])
 def test_only_the_second_half_of_a_batch_is_mirrored(biped, size):
-    mirror, seen = MirrorAugmentation(biped, HISTORY), transitions(size)
+    mirror, seen = mirror_of(biped), transitions(size)
     batch, half = mirror(seen.clone()), size // 2
     for key in seen.keys(True, True):
         name = key if isinstance(key, str) else key[-1]
@@ -288,7 +289,7 @@ def test_only_the_second_half_of_a_batch_is_mirrored(biped, size):
 
 
 def test_sampling_mirrors_copies_and_not_what_is_remembered(biped):
-    mirror, seen = MirrorAugmentation(biped, HISTORY), transitions(1)
+    mirror, seen = mirror_of(biped), transitions(1)
     settings = ReplaySettings(capacity=10, batch_size=4, n_step=1, mirror=True, storage="stacked")
     replay = Replay(settings, GAMMA, HISTORY, mirror)
     replay.extend(seen[:, None])

@@ -66,9 +66,10 @@ def collector(robot, monkeypatch):
 
     def make(*overrides):
         settings = tiny_settings(*overrides)
-        actor = settings.algo.build(settings.architecture()).actor
+        setup = settings.setup()
+        actor = settings.algo.build(setup.architecture()).actor
         explorer = Explorer(actor, robot, settings.env.num_envs, settings.exploration)
-        recipe = EnvRecipe(robot, settings.env, settings.reward)
+        recipe = EnvRecipe(setup.task, settings.env)
         collect = WorkerCollector(settings.collector, recipe, settings.batch_steps, settings.seed, explorer, launch)
         collect.settings = settings
         return collect

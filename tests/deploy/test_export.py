@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from compositions import walking
 from hydra import compose, initialize_config_module
 from running import command
 from tensordict import TensorDict
@@ -22,7 +23,6 @@ from gctd3.deploy.robot_contract import describe, sensed
 from gctd3.errors import ContractError, RobotError
 from gctd3.nn import Network
 from gctd3.tasks.reflection import Reflection
-from gctd3.tasks.walk import WalkingTask
 from gctd3.training.saved_configuration import save_config
 
 pytest.importorskip("onnxscript")
@@ -139,7 +139,7 @@ def stochastic(graph, reflection):
 
 @pytest.mark.parametrize("make", [plain, shared, stochastic])
 def test_any_network_can_be_exported(robot, graph, tmp_path, make):
-    policy = make(graph, Reflection.from_robot(robot, 2)).requires_grad_(False).eval()
+    policy = make(graph, Reflection.from_robot(robot)).requires_grad_(False).eval()
     file = tmp_path / "policy.onnx"
     file.write_bytes(to_onnx(traced(Deterministic(policy).eval(), (8, 10)), contract_of(robot).robot)[0])
     with set_exploration_type(ExplorationType.DETERMINISTIC):
@@ -148,14 +148,14 @@ def test_any_network_can_be_exported(robot, graph, tmp_path, make):
 
 
 def contract_of(robot):
-    return describe(robot, 0.02, 5, np.full(int(robot.model.nu), 0.1), "0" * 64, 1, {}, {})
+    return describe(walking(robot), np.full(int(robot.model.nu), 0.1), "0" * 64, 1, {}, {})
 
 
 @pytest.mark.parametrize("name", ["biped", "biped_planar", "quadruped", "hexapod"])
 def test_readings_by_name_are_the_tasks_node_features(name):
     """Each reading taken from MuJoCo under its own name; a free base's angles from its rotation matrix."""
     robot = Robot.from_mjcf(name)
-    task, model, data = WalkingTask(robot), robot.model, mujoco.MjData(robot.model)
+    task, model, data = walking(robot), robot.model, mujoco.MjData(robot.model)
     rng = np.random.default_rng(0)
     data.qpos[:] = robot.standing_qpos
     mujoco.mj_kinematics(model, data)
@@ -184,7 +184,7 @@ def test_readings_by_name_are_the_tasks_node_features(name):
         for foot in robot.feet:
             truth[f"down_{foot}"] = float(data.sensor(foot).data[0] > 0)
         nodes = task.node_features(task.measure(data.qpos, data.qvel, data.sensordata))
-        mine = [[truth[f.reading] if f.reading else 0.0 for f in node.features] for node in sensed(robot)]
+        mine = [[truth[f.reading] if f.reading else 0.0 for f in node.features] for node in sensed(task)]
         np.testing.assert_allclose(mine, nodes, atol=1e-5)
         data.qpos[:] = robot.standing_qpos
 
@@ -229,9 +229,9 @@ def test_what_is_missing_is_named_before_anything_is_done(tmp_path, monkeypatch,
 def test_a_librarys_task_is_refused(tmp_path, capsys):
     run = tmp_path / "run"
     with initialize_config_module("gctd3.conf", version_base="1.3"):
-        save_config(run, compose("config", ["env=walker_walk"]), [])
+        save_config(run, compose("config", ["task=walker_walk"]), [])
     assert command("export", f"run={run}", f"out={tmp_path / 'policy.pt2'}") == 2
-    assert "was trained on walker-walk: export covers the walking task only" in capsys.readouterr().err
+    assert "was trained on walker-walk: export is for tasks that gctd3 simulates" in capsys.readouterr().err
 
 
 def test_contracts_with_a_contradiction_are_refused(robot):

@@ -6,13 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from compositions import env_of
 
 import gctd3
 from gctd3.deploy.policy import Policy
-from gctd3.envs.factory import build_env
-from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ReadingError
-from gctd3.tasks.reward import Reward
 
 pytest.importorskip("onnxruntime")
 PERIOD = 0.02
@@ -73,9 +71,9 @@ def walk(policy, robot, start, steps):
     return tuple(np.stack(column) for column in zip(*rows, strict=True))
 
 
-def test_the_loop_through_it_is_the_torch_policys(robot, policy):
+def test_the_loop_through_it_is_the_torch_policys(robot, task, policy):
     """From the same start to the finish: the same actions, the same way."""
-    env = build_env(robot, EnvSettings(num_envs=1, threads=1), Reward(), 7)
+    env = env_of(task, seed=7, num_envs=1)
     state = env.reset()
     simulation = env.base_env.simulation
     start = simulation.state[0, 1:].copy()
@@ -97,10 +95,10 @@ def test_the_loop_through_it_is_the_torch_policys(robot, policy):
     np.testing.assert_allclose(mine[:100], qpos[:100], atol=1e-4)
 
 
-def test_history_is_the_environments(robot, policy):
+def test_history_is_the_environments(robot, task, policy):
     """The network gets, bit for bit, what CatFrames makes of the same frames, from the first one on."""
     network = with_network(policy, 0.0)
-    env = build_env(robot, EnvSettings(num_envs=1, threads=1), Reward(), 0)
+    env = env_of(task, num_envs=1)
     state, expected = env.reset(), []
     simulation = env.base_env.simulation
     for step in range(8):

@@ -6,19 +6,19 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import torch
+from compositions import STILL, env_of, reward, walk, walking
 from torchrl.envs.utils import check_env_specs
 
 from gctd3.envs import dmc
-from gctd3.envs.factory import build_env, make_env
-from gctd3.envs.settings import EnvSettings, Start
+from gctd3.envs.factory import make_env
+from gctd3.envs.settings import EnvSettings
 from gctd3.envs.simulation import Simulation, substeps_of
 from gctd3.errors import ConfigError, NumericalError, RobotError
 from gctd3.robots.robot import Robot
-from gctd3.tasks.reward import Endings, Reward
-from gctd3.tasks.walk import WalkingTask
+from gctd3.tasks.walk import WalkSettings
 
 ENDS = ("fall", "long_contact", "stuck_hip")
-SHAPED = Reward(antiphase=0.3, single_support=0.2, overspeed=0.5, short_swing=2.0, long_swing=2.0)
+SHAPED = reward(antiphase=0.3, single_support=0.2, overspeed=0.5, swing=2.0)
 
 
 def started(task, n, seed=0, threads=1):
@@ -63,7 +63,7 @@ def assert_parity(task, n, policy):
         steps = [env.step(row) for env, row in zip(envs, action, strict=True)]
         here = {
             "nodes": task.node_features(simulation.now),
-            "counters": task.counters(simulation.progress),
+            "counters": task.counters(simulation.memory),
             "position": simulation.now.position[:, None],
             "success": outcome.success[:, None],
         }
@@ -88,14 +88,14 @@ def assert_parity(task, n, policy):
 @pytest.mark.parametrize("hold", [1, 5])
 def test_parity_under_random_actions(robot, hold):
     # Tight enough that every ending is met by chance.
-    task = WalkingTask(robot, SHAPED, Endings(fall_height=-0.04, finish=0.1, hip_steps=25))
+    task = walking(robot, SHAPED, fall_height=-0.04, finish=0.1, hip_steps=25)
     seen = assert_parity(task, 4, held(4, hold))
     assert {"fall", "stuck_hip", "success"} <= set(seen)
 
 
 def test_parity_under_swinging_legs(robot):
     # Short enough that the first robot stands too long, and the last one is cut off.
-    task = WalkingTask(robot, endings=Endings(contact_steps=20, time_limit=30))
+    task = walking(robot, contact_steps=20, time_limit=30)
     seen = assert_parity(task, 4, sinusoids(4))
     assert {"long_contact", "truncated"} <= set(seen)
 
@@ -121,9 +121,8 @@ def test_torchrl_specs(num_envs):
 
 
 def test_only_ended_robots_start_anew(robot):
-    n, settings = 4, EnvSettings(num_envs=4, threads=1, endings=Endings(time_limit=60))
-    env = build_env(robot, settings, Reward(), seed=6)
-    task = WalkingTask(robot, endings=settings.endings)
+    n, task = 4, walking(robot, time_limit=60)
+    env = env_of(task, seed=6, num_envs=n)
     data, reference = env.reset(), started(task, n, seed=6)
     single = task.node_features(reference.now)
     frames = [[single[i]] * 5 for i in range(n)]  # the reset's frame, repeated
@@ -201,11 +200,11 @@ def test_a_reset_forgets_everything(robot, tmp_path):
     file = tmp_path / "slow.xml"
     text = robot.path.read_text()
     file.write_text(text.replace("<position kp=", '<position timeconst="0.05" kp='))
-    task = WalkingTask(Robot.from_mjcf(file))
+    task = walking(Robot.from_mjcf(file), **STILL)
     assert task.robot.model.na == 6
 
     def after_reset(warm_up):
-        simulation = Simulation(task, 2, Start(angle_noise=0.0, velocity_noise=0.0), threads=1)
+        simulation = Simulation(task, 2, threads=1)
         simulation.reset(np.ones(2, dtype=bool))
         for _ in range(warm_up):
             simulation.step(np.ones((2, 6)))
@@ -223,14 +222,14 @@ def test_a_reset_leaves_the_others_alone(task):
 
     def rows():
         measured = [getattr(simulation.now, f.name)[:2].copy() for f in fields(simulation.now)]
-        remembered = [getattr(simulation.progress, f.name)[:2] for f in fields(simulation.progress)]
+        remembered = [values[:2].copy() for values in simulation.memory.values()]
         return [simulation.state[:2].copy(), *measured, *remembered]
 
     before = rows()
     assert simulation.now.feet_down.all()
     for mask in ([False, False, True], [False, False, False]):
         simulation.reset(np.array(mask))
-        assert simulation.progress.step.tolist() == [10, 10, 0]
+        assert simulation.memory["step"].tolist() == [10, 10, 0]
         for old, new in zip(before, rows(), strict=True):
             np.testing.assert_array_equal(old, new)
 
@@ -267,12 +266,12 @@ def test_counts_below_one_are_refused(robot, task):
         Simulation(task, 0)
     with pytest.raises(ConfigError, match="threads must be at least 1, got 0"):
         Simulation(task, 1, threads=0)
-    for name in ("num_envs", "history", "threads"):
+    for settings, name in ((EnvSettings, "num_envs"), (EnvSettings, "threads"), (WalkSettings, "history")):
         with pytest.raises(ConfigError, match=rf"^{name} must be at least 1.*got 0"):
-            EnvSettings(**{name: 0})
+            settings(**{name: 0})
     with pytest.raises(ConfigError, match=r"^control_dt must be above 0 s and at most 1 s, got -0\.02"):
-        EnvSettings(control_dt=-0.02)
-    with pytest.raises(ConfigError, match=r"^env\.control_dt must be 1 to 1,000 times"):
-        build_env(robot, EnvSettings(num_envs=1, control_dt=0.0123), Reward(), seed=0)
-    with pytest.raises(ConfigError, match="batched or dm_control, got 'isaac'"):
+        walk(control_dt=-0.02)
+    with pytest.raises(ConfigError, match=r"^task\.control_dt must be 1 to 1,000 times"):
+        env_of(walking(robot, control_dt=0.0123), num_envs=1)
+    with pytest.raises(ConfigError, match="batched or dm_control for walk, got isaac"):
         make_env("biped", 1, backend="isaac")

@@ -7,16 +7,14 @@ import sys
 import numpy as np
 import pytest
 import torch
+from compositions import STILL, env_of, walking
 from dm_env import StepType
 from torchrl.envs.utils import check_env_specs
 
 from gctd3.envs import dmc
-from gctd3.envs.factory import build_env, make_env
-from gctd3.envs.settings import EnvSettings, Start
-from gctd3.tasks.reward import Endings, Reward
-from gctd3.tasks.walk import WalkingTask
+from gctd3.envs.factory import make_env
 
-FALL_AT_ONCE = Endings(fall_height=1.0)  # every body is lower than 1 m above standing
+FALL_AT_ONCE = {"fall_height": 1.0}  # every body is lower than 1 m above standing
 
 
 @pytest.fixture(scope="module")
@@ -95,21 +93,21 @@ def test_every_reset_starts_an_episode_elsewhere(env):
     assert (first.observation["nodes"] != second.observation["nodes"])[1:-1].all()
 
 
-def test_start_without_noise_is_the_reference_pose(task):
-    step = dmc.load(task, Start(angle_noise=0.0, velocity_noise=0.0)).reset()
+def test_start_without_noise_is_the_reference_pose(robot):
+    step = dmc.load(walking(robot, **STILL)).reset()
     expected = np.zeros((8, 2), np.float32)
     expected[0, 0] = 0.0235  # dropped from this height
     np.testing.assert_allclose(step.observation["nodes"], expected, atol=1e-7)
 
 
 def test_the_discount_tells_termination_from_truncation(robot):
-    fallen = dmc.load(WalkingTask(robot, endings=FALL_AT_ONCE))
+    fallen = dmc.load(walking(robot, **FALL_AT_ONCE))
     fallen.reset()
     step = fallen.step(np.zeros(6))
     assert (step.step_type, step.discount) == (StepType.LAST, 0.0)
     assert step.reward < -9.0
 
-    limited = dmc.load(WalkingTask(robot, endings=Endings(time_limit=3)))
+    limited = dmc.load(walking(robot, time_limit=3))
     limited.reset()
     steps = [limited.step(np.zeros(6)) for _ in range(4)]
     assert [step.step_type for step in steps] == [StepType.MID, StepType.MID, StepType.LAST, StepType.FIRST]
@@ -117,7 +115,7 @@ def test_the_discount_tells_termination_from_truncation(robot):
 
 
 def test_success_is_observed_at_the_finish_and_forgotten_at_the_reset(robot):
-    env = dmc.load(WalkingTask(robot, endings=Endings(finish=0.01)))
+    env = dmc.load(walking(robot, finish=0.01))
     assert not env.reset().observation["success"]
     # Thrown forward at 1 m/s it is there within one control step of 0.02 s.
     env.physics.data.qvel[robot.forward] = 1.0
@@ -190,15 +188,15 @@ def test_the_stack_holds_the_last_five_frames_oldest_first(task):
 
 
 def test_torchrl_ends(robot):
-    def end(endings):
-        env = build_env(robot, EnvSettings("dm_control", num_envs=2, endings=endings), Reward(), seed=0)
+    def end(**endings):
+        env = env_of(walking(robot, **endings), backend="dm_control", num_envs=2)
         last = env.rollout(2)["next"][:, -1]
         env.close()
         return [last[key].flatten().tolist() for key in ("terminated", "truncated", "done", "step_count")]
 
-    assert end(FALL_AT_ONCE) == [[True] * 2, [False] * 2, [True] * 2, [1] * 2]
-    assert end(Endings(time_limit=2)) == [[False] * 2, [True] * 2, [True] * 2, [2] * 2]
-    assert end(Endings()) == [[False] * 2, [False] * 2, [False] * 2, [2] * 2]
+    assert end(**FALL_AT_ONCE) == [[True] * 2, [False] * 2, [True] * 2, [1] * 2]
+    assert end(time_limit=2) == [[False] * 2, [True] * 2, [True] * 2, [2] * 2]
+    assert end() == [[False] * 2, [False] * 2, [False] * 2, [2] * 2]
 
 
 def test_its_end_leaves_the_number_of_threads(monkeypatch):

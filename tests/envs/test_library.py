@@ -2,12 +2,12 @@
 
 import json
 import math
-from dataclasses import replace
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
+from compositions import library_env, library_task
 from dm_control import suite
 from running import command, rows, tiny, train
 from tensordict import TensorDict
@@ -15,9 +15,9 @@ from tensordict import TensorDict
 import gctd3
 from gctd3.envs.factory import build_env
 from gctd3.envs.nodes import STATIC, NodeSensor
-from gctd3.envs.settings import LibrarySettings
+from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError
-from gctd3.tasks.reward import Reward
+from gctd3.runs.load import load_run
 from gctd3.training.saved_configuration import load_settings
 
 # Short episodes would need falls; an evaluation is as long as the task's episodes are.
@@ -26,7 +26,7 @@ WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episod
 
 
 @pytest.mark.parametrize(
-    "env, nodes, actions",
+    "task, nodes, actions",
     [
         ("walker_walk", 9, 6),
         ("walker2d", 9, 6),
@@ -34,8 +34,8 @@ WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episod
         pytest.param("ant", 15, 8, marks=pytest.mark.nightly),
     ],
 )
-def test_trains_and_evaluates(tmp_path, env, nodes, actions, capsys):
-    run = train(tmp_path / "run", "algo=gctd3", f"env={env}", *FEW, without=WITHOUT)
+def test_trains_and_evaluates(tmp_path, task, nodes, actions, capsys):
+    run = train(tmp_path / "run", "algo=gctd3", f"task={task}", *FEW, without=WITHOUT)
     (row,) = rows(run)
     assert int(row["frames"]) == 120 and int(row["updates"]) > 0 and math.isfinite(float(row["return_mean"]))
     assert load_settings(run).stop_when.evaluations is None
@@ -43,31 +43,30 @@ def test_trains_and_evaluates(tmp_path, env, nodes, actions, capsys):
     assert policy(TensorDict({"nodes": torch.randn(3, nodes, 4)}, [3]))["action"].shape == (3, actions)
     assert command("evaluate", f"run={run}", "episodes=1") == 0
     report = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
-    assert report["task"] == load_settings(run).env.task
+    assert report["task"] == load_settings(run).task.name
     # dm_control's rewards lie in [0, 1], and an episode has 1,000 steps.
-    assert 0 <= report["return_mean"] <= 1000 or env != "walker_walk"
+    assert 0 <= report["return_mean"] <= 1000 or task != "walker_walk"
     said = capsys.readouterr().out
     # Nothing of the paper's, and no command that would refuse this run.
     assert "380.0" not in said and "gctd3.evaluate run=" in said and "gctd3.view" not in said
     assert command("render", f"run={run}", f"out={tmp_path / 'walk.png'}") == 2
-    assert "only the walking task can be drawn" in capsys.readouterr().err
+    assert "film is for tasks that gctd3 simulates" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("algorithm", ["sac", "ddpg"])
 def test_other_algorithms_train_too(tmp_path, algorithm):
-    run = train(tmp_path / "run", f"algo={algorithm}", "env=walker2d", *FEW, without=WITHOUT)
+    run = train(tmp_path / "run", f"algo={algorithm}", "task=walker2d", *FEW, without=WITHOUT)
     settings = load_settings(run)
     assert settings.exploration.warmup == "uniform" or algorithm == "sac"
     assert (settings.exploration.noise is None) == (algorithm == "sac")
 
 
 def test_rewards_and_ways_are_the_tasks_own():
-    settings = LibrarySettings("gymnasium", "Walker2d-v5", num_envs=2, history=2)
-    env = build_env(settings.load_robot(), settings, Reward(), seed=5)
+    env = library_env("gymnasium", "Walker2d-v5", num_envs=2, seed=5, history=2)
     actions = torch.rand(2, 12, 6, generator=torch.Generator().manual_seed(0)) * 2 - 1
     state, seen = env.reset(), []
     theirs = gymnasium.make("Walker2d-v5")
-    assert settings.control_dt == pytest.approx(theirs.unwrapped.dt)
+    assert library_task("gymnasium", "Walker2d-v5").control_dt == pytest.approx(theirs.unwrapped.dt)
     # From the state in which ours starts, theirs goes on with the same rewards.
     theirs.reset()
     inner = env.base_env.robots[0]._env.unwrapped
@@ -85,9 +84,9 @@ def test_rewards_and_ways_are_the_tasks_own():
 
 
 def test_dm_controls_period_and_time_limit():
-    settings = LibrarySettings("dm_control", "walker-walk", num_envs=1)
-    assert settings.control_dt == suite.load("walker", "walk").control_timestep() == 0.025
-    env = build_env(settings.load_robot(), settings, Reward(), seed=0)
+    task = library_task("dm_control", "walker-walk")
+    assert task.control_dt == suite.load("walker", "walk").control_timestep() == 0.025
+    env = library_env("dm_control", "walker-walk")
     rollout = env.rollout(1001, break_when_any_done=True)
     assert rollout.shape == (1, 1000)
     last = rollout["next"][0, -1]
@@ -95,8 +94,7 @@ def test_dm_controls_period_and_time_limit():
 
 
 def test_actions_are_scaled_to_the_limits_of_the_task():
-    settings = LibrarySettings("gymnasium", "Humanoid-v5", num_envs=1)
-    env, theirs = build_env(settings.load_robot(), settings, Reward(), seed=0), gymnasium.make("Humanoid-v5")
+    env, theirs = library_env("gymnasium", "Humanoid-v5"), gymnasium.make("Humanoid-v5")
     assert theirs.action_space.high.max() == pytest.approx(0.4)
     state = env.reset()
     theirs.reset()
@@ -111,8 +109,7 @@ def test_actions_are_scaled_to_the_limits_of_the_task():
 
 
 def test_actions_of_dm_control_are_scaled_too():
-    settings = LibrarySettings("dm_control", "quadruped-walk", num_envs=1)
-    env = build_env(settings.load_robot(), settings, Reward(), seed=0)
+    env = library_env("dm_control", "quadruped-walk")
     physics = env.base_env.robots[0]._env.physics
     limits = physics.model.actuator_ctrlrange
     assert not (limits == [-1, 1]).all()
@@ -123,16 +120,15 @@ def test_actions_of_dm_control_are_scaled_too():
 
 
 def test_feet_and_forward_are_those_named(tmp_path, capsys):
-    named = ["env=walker2d", "robot.feet=[foot_left]", "robot.forward=-x"]
+    named = ["task=walker2d", "robot.feet=[foot_left]", "robot.forward=-x"]
     run = train(tmp_path / "run", "algo=gctd3", *named, *FEW, without=WITHOUT)
-    robot = load_settings(run).load_robot()
+    robot = load_run(run).setup.robot
     assert (robot.feet, robot.forward_axis) == (("foot_left",), "-x")
     assert command("evaluate", f"run={run}", "episodes=1") == 0
-    settings = LibrarySettings("gymnasium", "Walker2d-v5", num_envs=1)
-    assert settings.load_robot().feet == ("foot", "foot_left")
+    assert library_task("gymnasium", "Walker2d-v5").robot.feet == ("foot", "foot_left")
     ways = []
-    for one in (settings.load_robot(), robot):
-        env = build_env(one, settings, Reward(), seed=0)
+    for asked in ({}, {"feet": ["foot_left"], "forward": "-x"}):
+        env = library_env("gymnasium", "Walker2d-v5", **asked)
         ways.append(env.step(env.reset().set("action", torch.ones(1, 6)))["next", "position"])
     assert torch.equal(ways[0], -ways[1]) and ways[0].abs().max() > 0
     capsys.readouterr()
@@ -142,27 +138,26 @@ def test_feet_and_forward_are_those_named(tmp_path, capsys):
         ("robot.name=quadruped", "robot.name must be left at biped for a library's task, got 'quadruped'"),
         ("robot=my.xml", "got 'my.xml': the task brings its own robot"),
     ]:
-        wrong = tiny(tmp_path / "wrong", "env=walker2d", wrong, *FEW, without=WITHOUT)
+        wrong = tiny(tmp_path / "wrong", "task=walker2d", wrong, *FEW, without=WITHOUT)
         assert command("train", *wrong) == 2
         assert message in capsys.readouterr().err
         assert not (tmp_path / "wrong").exists()
 
 
 def test_equal_seeds_start_equally():
-    settings = LibrarySettings("gymnasium", "HalfCheetah-v5", num_envs=3)
     one, again, other = (
-        build_env(settings.load_robot(), settings, Reward(), seed).reset()["nodes"] for seed in (3, 3, 4)
+        library_env("gymnasium", "HalfCheetah-v5", num_envs=3, seed=seed).reset()["nodes"] for seed in (3, 3, 4)
     )
     assert torch.equal(one, again) and not torch.equal(one, other) and not torch.equal(one[0], one[1])
 
 
 @pytest.mark.parametrize(
-    "library, task, size", [("gymnasium", "HalfCheetah-v5", 17), ("dm_control", "walker-walk", 24)]
+    "library, name, size", [("gymnasium", "HalfCheetah-v5", 17), ("dm_control", "walker-walk", 24)]
 )
-def test_the_tasks_own_observation(library, task, size):
-    settings = LibrarySettings(library, task, num_envs=2, history=1, observation="flat")
-    assert settings.features == size and settings.graph.nodes == ("observation",)
-    env = build_env(settings.load_robot(), settings, Reward(), seed=0)
+def test_the_tasks_own_observation(library, name, size):
+    task = library_task(library, name, history=1, observation="flat")
+    assert task.features == size and task.graph.nodes == ("observation",)
+    env = library_env(library, name, num_envs=2, history=1, observation="flat")
     state = env.reset()
     action = torch.zeros(2, env.action_spec.shape[-1])
     for _ in range(3):
@@ -176,16 +171,20 @@ def test_the_tasks_own_observation(library, task, size):
     np.testing.assert_allclose(np.sort(state["nodes"][0, 0]), np.sort(theirs), rtol=1e-6)
     if library == "gymnasium":  # in its order
         np.testing.assert_allclose(state["nodes"][0, 0], theirs, rtol=1e-6)
-    # What the nodes would have been stands beside it, for the gait.
-    noded = build_env(settings.load_robot(), replace(settings, observation="nodes"), Reward(), seed=0)
+    # What the nodes would have been is at hand beside it, for the gait.
+    noded = library_env(library, name, num_envs=2, history=1)
     other = noded.reset()
     for _ in range(3):
         other = noded.step(other.set("action", action))["next"]
-    assert torch.equal(state["sensed"], other["nodes"])
+    assert torch.equal(torch.from_numpy(env.base_env.sensed), other["nodes"])
+    seen, expected = env.base_env.glance(), noded.base_env.glance()
+    for part in ("height", "hips", "feet_down"):
+        np.testing.assert_array_equal(getattr(seen, part), getattr(expected, part))
+    np.testing.assert_array_equal(seen.height, other["nodes"][:, 0, 0])
 
 
 def test_trains_on_the_tasks_own_observation(tmp_path, capsys):
-    flat = ["env=walker2d", "env.observation=flat", *FEW]
+    flat = ["task=walker2d", "task.observation=flat", *FEW]
     run = train(tmp_path / "run", "algo=td3", *flat, without=WITHOUT)
     policy = gctd3.load_policy(run)
     assert policy(TensorDict({"nodes": torch.randn(3, 1, 34)}, [3]))["action"].shape == (3, 6)
@@ -193,21 +192,22 @@ def test_trains_on_the_tasks_own_observation(tmp_path, capsys):
     for network in ("gcn", "per_joint"):
         wrong = tiny(tmp_path / network, "algo=td3", f"network={network}", *flat, without=WITHOUT)
         assert command("train", *wrong) == 2
-        assert "env.observation must be nodes for a network that knows the robot's graph" in capsys.readouterr().err
+        assert "task.observation must be nodes for a network that knows the robot's graph" in capsys.readouterr().err
 
 
 def test_trains_on_nodes_that_say_what_they_are(tmp_path, capsys):
-    static = ["env=walker2d", "env.static=true", *FEW]
+    static = ["task=walker2d", "task.static=true", *FEW]
     run = train(tmp_path / "run", "algo=gctd3", *static, without=WITHOUT)
-    settings = load_settings(run)
-    env = build_env(settings.load_robot(), settings.env, Reward(), seed=0)
+    loaded = load_run(run)
+    env = build_env(loaded.setup.task, loaded.settings.env, seed=0)
     state = env.reset()
     for _ in range(3):
         state = env.step(state.set("action", torch.ones(2, 6)))["next"]
     # Two frames: what is sensed, in which only the newest is watched, and in both the same of what the node is.
     older, newest = state["nodes"].unflatten(-1, (2, 2 + len(STATIC))).unbind(-2)
-    assert torch.equal(newest[..., :2], state["sensed"]) and not torch.equal(older[..., :2], newest[..., :2])
-    described = torch.from_numpy(NodeSensor(settings.load_robot().model).static())
+    assert torch.equal(newest[..., :2], torch.from_numpy(env.base_env.sensed))
+    assert not torch.equal(older[..., :2], newest[..., :2])
+    described = torch.from_numpy(NodeSensor(loaded.setup.robot.model).static())
     assert torch.equal(older[0, :, 2:], described) and torch.equal(newest[1, :, 2:], described)
     policy = gctd3.load_policy(run)
     assert policy(state)["action"].shape == (2, 6)
@@ -217,15 +217,15 @@ def test_trains_on_nodes_that_say_what_they_are(tmp_path, capsys):
     assert not torch.equal(policy(other)["action"], policy(state)["action"])
     assert command("evaluate", f"run={run}", "episodes=1") == 0
     for wrong, message in [
-        (["algo=td3", "network=mlp", "env.observation=flat"], "static must be false for observation=flat"),
-        (["algo=gctd3", "network=equivariant"], "env.static must be false for an equivariant network"),
+        (["algo=td3", "network=mlp", "task.observation=flat"], "static must be false for observation=flat"),
+        (["algo=gctd3", "network=equivariant"], "network.equivariant must be false for Walker2d-v5 with"),
     ]:
         assert command("train", *tiny(tmp_path / "wrong", *static, *wrong, without=WITHOUT)) == 2
         assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    "library, task, message",
+    "library, name, message",
     [
         ("dm_control", "walker", "dm_control cannot make 'walker'"),
         ("gymnasium", "Nothing-v0", "gymnasium cannot make 'Nothing-v0'"),
@@ -233,13 +233,14 @@ def test_trains_on_nodes_that_say_what_they_are(tmp_path, capsys):
         ("gymnasium", "Pendulum-v1", "one MuJoCo robot"),
     ],
 )
-def test_tasks_that_cannot_be(library, task, message):
+def test_tasks_that_cannot_be(library, name, message):
     with pytest.raises(ConfigError, match=message):
-        _ = LibrarySettings(library, task).load_robot()
+        library_task(library, name)
 
 
 def test_settings_that_do_not_fit(tmp_path, capsys):
-    assert command("train", "env=walker2d", "replay=mirrored", f"hydra.run.dir={tmp_path}") == 2
-    assert "replay.mirror must be false for a library's task" in capsys.readouterr().err
+    assert command("train", "task=walker2d", "replay=mirrored", f"hydra.run.dir={tmp_path}") == 2
+    said = "replay.mirror must be false for Walker2d-v5, got true: mirror is for simulated tasks."
+    assert said in capsys.readouterr().err
     with pytest.raises(ConfigError, match="num_envs must be at least 1, got 0"):
-        LibrarySettings("gymnasium", "Ant-v5", num_envs=0)
+        EnvSettings("library", num_envs=0)

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from compositions import walking
 from tensordict import TensorDict
 
 from gctd3.envs.factory import make_env
@@ -114,8 +115,8 @@ def test_the_resting_action_asks_for_the_start_pose(robot):
     assert asked[0] == pytest.approx(np.zeros(6), abs=1e-6)
 
 
-def test_an_error_goes_through_the_stack_with_its_frame(robot):
-    deviation = sensor_deviation(robot, 0.1, 0.2, 0.3, 0.4)
+def test_an_error_goes_through_the_stack_with_its_frame(task):
+    deviation = sensor_deviation(task, 0.1, 0.2, 0.3, 0.4)
     seen = []
 
     def policy(state):
@@ -141,13 +142,14 @@ def test_an_error_goes_through_the_stack_with_its_frame(robot):
     assert (seen[-1] == seen[0]).all()
 
 
-def test_what_errs_by_how_much(robot):
-    rows = dict(zip(KinematicGraph.from_robot(robot).nodes, sensor_deviation(robot, 1, 2, 3, 4).tolist(), strict=True))
+def test_what_errs_by_how_much(robot, task):
+    rows = dict(zip(task.graph.nodes, sensor_deviation(task, 1, 2, 3, 4).tolist(), strict=True))
     assert rows["body"] == [3, 4] and rows["ground"] == [0, 0]
     assert all(rows[joint.name] == [1, 2] for joint in robot.joints)
     free = Robot.from_mjcf("quadruped")
-    rows = dict(zip(KinematicGraph.from_robot(free).nodes, sensor_deviation(free, 1, 2, 3, 4).tolist(), strict=True))
-    assert len(rows) == len(KinematicGraph.from_robot(free).nodes)
+    nodes = KinematicGraph.from_robot(free).nodes
+    rows = dict(zip(nodes, sensor_deviation(walking(free), 1, 2, 3, 4).tolist(), strict=True))
+    assert len(rows) == len(nodes)
     turns = [rows[f"{free.root}_{name}"] for name in ("pitch", "roll", "yaw")]
     assert turns == [[1, 2]] * 3 and rows[f"{free.root}_side"] == [3, 4]
     assert [rows[joint.name] for joint in free.joints] == [[1, 2]] * 12

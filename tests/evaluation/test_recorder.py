@@ -8,11 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from compositions import env_of
 from running import command
 from tensordict.nn import TensorDictModule
 
-from gctd3.envs.factory import build_env
-from gctd3.envs.settings import EnvSettings
 from gctd3.envs.simulation import Simulation
 from gctd3.evaluation.episode import Episode
 from gctd3.evaluation.gait_metrics import strides
@@ -21,7 +20,6 @@ from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize
 from gctd3.robots.robot import Robot
 from gctd3.runs.judge import table, trace
-from gctd3.tasks.reward import Reward
 
 DT = 0.02
 
@@ -259,11 +257,11 @@ def swing(state):
     return torch.stack([now * 0.2] * 6, dim=-1)
 
 
-def test_episodes_are_recorded_as_long_as_they_last(robot):
-    env = build_env(robot, EnvSettings(num_envs=3, threads=1), Reward(), 0)
+def test_episodes_are_recorded_as_long_as_they_last(robot, task):
+    env = env_of(task, num_envs=3)
     policy = TensorDictModule(swing, in_keys=["nodes"], out_keys=["action"])
-    result = evaluate(policy, env, robot, 5, DT, record=True)
-    plain = evaluate(policy, env, robot, 5, DT)
+    result = evaluate(policy, env, task, 5, record=True)
+    plain = evaluate(policy, env, task, 5)
     for episode, other in zip(result.episodes, plain.episodes, strict=True):
         assert episode.reward == pytest.approx(other.reward) and other.motion is None
         motion = episode.motion
@@ -285,7 +283,7 @@ def test_evaluation_writes_gait_and_trace(finished, tmp_path, monkeypatch, capsy
     run = finished.copy("gctd3", tmp_path / "run")
     assert command("evaluate", f"run={run}", "episodes=2", "threads=1") == 0
     report = json.loads((run / "evaluation.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
-    assert report["gait"] == {} and report["reward"]["fall"] == 10.0
+    assert report["gait"] == {} and report["reward"]["fall"] == {"term": "Ended", "weight": -10.0, "by": "fall"}
     with (run / "trace.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert rows and float(rows[0]["time_s"]) == DT

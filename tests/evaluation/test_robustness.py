@@ -6,13 +6,13 @@ import math
 import numpy as np
 import pytest
 import torch
+from compositions import walking
 from running import command
 
 from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError
 from gctd3.evaluation.robustness import DIRECTIONS, Examination, largest, table, weakest
 from gctd3.evaluation.settings import Perturbations
-from gctd3.tasks.reward import Reward
 
 FEW = Perturbations(impulses=(0.5, 300.0), phases=2, starts=3, settle=0.0, recover=0.1, masses=(1.2,), delays=(1,))
 
@@ -65,8 +65,8 @@ class Stepping:
 
 @pytest.fixture(scope="module")
 def examination(robot):
-    env = EnvSettings(num_envs=2, threads=1)
-    return Examination(Stepping(env.control_dt), robot, env, Reward(), 3, FEW)
+    task = walking(robot)
+    return Examination(Stepping(task.control_dt), task, EnvSettings(num_envs=2, threads=1), 3, FEW)
 
 
 def test_a_hard_shove_ends_what_a_soft_one_does_not(examination):
@@ -137,5 +137,5 @@ def test_wrong_calls_are_answered(run, capsys):
 def test_another_librarys_task_is_refused(finished, tmp_path, capsys):
     run = finished.copy("library", tmp_path / "run")
     assert command("evaluate", f"run={run}", "robustness=true") == 2
-    assert "Walker2d-v5: robustness is for the walking task only" in capsys.readouterr().err
+    assert "Walker2d-v5: robustness is for tasks that gctd3 simulates" in capsys.readouterr().err
     assert not (run / "evaluation.json").exists()

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from compositions import walking
 from networks import NETWORKS, SIZES, randomised
 from robots import opposite_axes
 from tensordict import TensorDict
@@ -19,7 +20,6 @@ from gctd3.errors import ConfigError, RobotError
 from gctd3.nn import Actor, Critic, Network
 from gctd3.robots.mjcf import body_name
 from gctd3.tasks.reflection import Reflection, SignedPermutation
-from gctd3.tasks.walk import FEATURES
 
 
 @pytest.fixture(scope="module", params=["equal axes", "opposite axes"])
@@ -31,8 +31,8 @@ def either(request, robot, tmp_path_factory):
 @pytest.mark.parametrize("name", [name for name, network in NETWORKS.items() if network.equivariant])
 @pytest.mark.parametrize("leading", [(), (7,), (2, 3)])
 def test_acting_in_the_mirror_is_the_mirror_of_acting(either, name, leading):
-    graph, mirror = KinematicGraph.from_robot(either), MirrorAugmentation(either, 5)
-    reflection = Reflection.from_robot(either, FEATURES)
+    graph, reflection = KinematicGraph.from_robot(either), walking(either).reflection()
+    mirror = MirrorAugmentation(reflection, 5)
     nodes, action = torch.randn(*leading, 8, 10), 2 * torch.rand(*leading, 6) - 1
     counters = torch.rand(*leading, 4)
     seen = {key: mirror.reflect(key, v) for key, v in (("nodes", nodes), ("action", action), ("counters", counters))}
@@ -58,14 +58,15 @@ def test_acting_in_the_mirror_is_the_mirror_of_acting(either, name, leading):
 
 
 def test_reflection_is_what_replay_mirrors(either):
-    reflection, mirror = Reflection.from_robot(either, FEATURES), MirrorAugmentation(either, 3)
+    reflection = Reflection.from_robot(either)
+    mirror = MirrorAugmentation(reflection, 3)
     nodes = torch.randn(4, 8, 6)
     by_matrix = nodes.flatten(-2) @ torch.from_numpy(reflection.nodes(6).matrix).float()
     assert torch.equal(by_matrix.reshape(4, 8, 6), mirror.reflect("nodes", nodes))
     for width in (7, 2 + len(STATIC), 0):
         with pytest.raises(ValueError, match=f"2 features a frame cannot be {width} features wide"):
             reflection.nodes(width)
-    still = Reflection.from_robot(either, FEATURES, static=3)
+    still = Reflection.from_robot(either, static=3)
     with pytest.raises(ValueError, match="2 features a frame and 3 that never change cannot be 8"):
         still.nodes(8)
     with pytest.raises(RobotError, match="done twice"):
@@ -92,12 +93,15 @@ def test_reflection_of_robots_with_base_nodes_and_many_feet(task):
 
 
 def test_an_equivariant_network_needs_a_reflection(robot, graph):
-    reflection = Reflection.from_robot(robot, FEATURES)
+    reflection = Reflection.from_robot(robot)
     for make in (make_actor, make_critic, make_stochastic_actor):
         with pytest.raises(ConfigError, match=r"equivariant: true needs .*reflection=Reflection\.from_robot"):
             make(graph, *SIZES, Network(equivariant=True))
         with pytest.raises(ConfigError, match="reflection of all 5 actions, got one of 6"):
             make(graph, 10, 5, Network(equivariant=True), reflection=reflection)
+    # What critics see besides is a task's, so that the robot alone does not say how it looks in the mirror.
+    with pytest.raises(ConfigError, match=r"all 4 numbers of the extra input, got one of 0: .* task\.reflection\(\)"):
+        make_critic(graph, *SIZES, Network(equivariant=True), privileged_dim=4, reflection=reflection)
 
 
 def reflected_state(robot, qpos, qvel):
@@ -124,7 +128,7 @@ def test_a_mirrored_simulation_gets_the_mirrored_action(name, static):
         3 * sensor.features + static * len(STATIC),
         len(order),
         Network(equivariant=True),
-        Reflection.from_robot(robot, sensor.features, static * len(STATIC)),
+        Reflection.from_robot(robot, static * len(STATIC)),
     )
     actor = randomised(actor)
     frames, down = ([], []), []
@@ -160,4 +164,4 @@ def test_a_ball_joint_has_no_reflection():
     <joint name="hip" type="ball"/><geom size=".05"/></body></body></worldbody></mujoco>"""
     robot = Robot.from_mjcf(mujoco.MjModel.from_xml_string(text))
     with pytest.raises(RobotError, match=r"replay\.mirror and equivariant must be false; ball joints: hip"):
-        Reflection.from_robot(robot, 6)
+        Reflection.from_robot(robot)

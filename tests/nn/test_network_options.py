@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from compositions import walking
 from hydra import compose, initialize_config_module
 from networks import NETWORKS, SIZES, randomised
 from running import rows, train
@@ -26,7 +27,6 @@ from gctd3.errors import ConfigError
 from gctd3.nn import Actor, ChebyshevConv, Critic, GraphEncoder, Network
 from gctd3.objectives import TD3Loss
 from gctd3.tasks.reflection import Reflection
-from gctd3.tasks.walk import FEATURES
 
 with warnings.catch_warnings():  # PyG scripts a class while it is imported
     warnings.filterwarnings("ignore", message=".*torch.jit.*", category=DeprecationWarning)
@@ -42,7 +42,7 @@ def network(request) -> Network:
 
 @pytest.fixture(scope="module")
 def reflection(robot) -> Reflection:
-    return Reflection.from_robot(robot, FEATURES)
+    return walking(robot).reflection()
 
 
 def random_graph(seed, num_nodes=9):

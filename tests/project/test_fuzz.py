@@ -53,7 +53,7 @@ OVERRIDE = st.one_of(
     st.tuples(st.sampled_from(KEYS), VALUES).map(lambda pair: f"+{pair[0]}.x={pair[1]}"),
     st.sampled_from(KEYS).map(lambda key: f"~{key}"),
     st.tuples(WORDS, VALUES).map(lambda pair: f"{pair[0]}={pair[1]}"),
-    st.tuples(st.sampled_from(["algo", "robot", "network", "replay", "reward", "env"]), VALUES).map(
+    st.tuples(st.sampled_from(["algo", "robot", "network", "replay", "reward", "task"]), VALUES).map(
         lambda pair: f"{pair[0]}={pair[1]}"
     ),
 ).filter(lambda text: not text.startswith("-"))

@@ -5,15 +5,14 @@ from pathlib import Path
 import dm_control.suite
 import numpy as np
 import pytest
+from compositions import walking
 from robots import FREE_LEGS, TWO_LEGS, write
 from running import command, tiny, train
 
-from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.errors import RobotError
 from gctd3.robots.mirror_pairs import swap_side, unreflected
 from gctd3.robots.robot import Robot
 from gctd3.tasks.reflection import Reflection
-from gctd3.tasks.walk import FEATURES
 
 CMU = Path(dm_control.suite.__file__).parent / "humanoid_CMU.xml"
 
@@ -61,14 +60,14 @@ def test_every_limb_of_the_cmu_humanoid_has_its_other_side():
 def test_shipped_robots_are_symmetric(name):
     robot = Robot.from_mjcf(name)
     assert not unreflected(robot.model, robot.joints, robot.mirror, np.array([0.0, 1.0, 0.0]))
-    Reflection.from_robot(robot, FEATURES)
+    Reflection.from_robot(robot)
 
 
 def test_joints_off_the_plane_that_are_their_own_image_are_refused(tmp_path):
     robot = Robot.from_mjcf(write(tmp_path, crooked(FREE_LEGS)))
     robot.check_walking()
     assert robot.mirror == {"hip_a": "hip_a", "hip_b": "hip_b"}
-    for reflect in (lambda: Reflection.from_robot(robot, FEATURES), lambda: MirrorAugmentation(robot, 5)):
+    for reflect in (lambda: Reflection.from_robot(robot), lambda: walking(robot).reflection()):
         with pytest.raises(RobotError, match=r"robot\.xml is not the same .*replay\.mirror=false.*: hip_a, hip_b\.$"):
             reflect()
 
@@ -78,14 +77,14 @@ def test_an_axis_that_no_reflection_keeps_is_refused(tmp_path):
     text = FREE_LEGS.replace("</body>\n  </worldbody>", tail)
     assert text != FREE_LEGS
     with pytest.raises(RobotError, match=r"the joint of the other side: tail\.$"):
-        Reflection.from_robot(Robot.from_mjcf(write(tmp_path, text), feet=["leg_r", "leg_l"]), FEATURES)
+        Reflection.from_robot(Robot.from_mjcf(write(tmp_path, text), feet=["leg_r", "leg_l"]))
     straight = text.replace('axis="0 1 1"', 'axis="1 0 1"')
-    Reflection.from_robot(Robot.from_mjcf(write(tmp_path, straight), feet=["leg_r", "leg_l"]), FEATURES)
+    Reflection.from_robot(Robot.from_mjcf(write(tmp_path, straight), feet=["leg_r", "leg_l"]))
 
 
 def test_in_a_plane_it_does_not_matter_where_legs_are_sideways(tmp_path):
     # On a boom two legs move alike wherever they are; each is its own mirror image.
-    reflection = Reflection.from_robot(Robot.from_mjcf(write(tmp_path, crooked(TWO_LEGS))), FEATURES)
+    reflection = Reflection.from_robot(Robot.from_mjcf(write(tmp_path, crooked(TWO_LEGS))))
     assert reflection.action.source.tolist() == [0, 1] and reflection.action.sign.tolist() == [1.0, 1.0]
 
 

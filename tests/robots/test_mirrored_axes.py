@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from compositions import reward, walking
 from robots import opposite_axes
-
-from gctd3.tasks.reward import Reward
-from gctd3.tasks.walk import WalkingTask
 
 
 @pytest.fixture(scope="module")
@@ -18,13 +16,13 @@ def opposite(robot, tmp_path_factory):
 # Right hip 0.3 rad forward, left hip 0.3 rad back: on the biped as it is, and with the left axis turned round.
 @pytest.mark.parametrize(("left", "turned"), [(-0.3, False), (0.3, True)])
 def test_antiphase_punishes_legs_together_not_legs_apart(robot, opposite, left, turned):
-    task = WalkingTask(opposite if turned else robot, Reward(antiphase=0.5))
+    task = walking(opposite if turned else robot, reward(antiphase=0.5))
     ground = task.measure(np.zeros(8), np.zeros(8), np.zeros(7))
     angles = np.zeros(6)
-    angles[task.hips] = 0.3, left
+    angles[task.facts.hips] = 0.3, left
     apart = replace(ground, angles=angles)
     angles = np.zeros(6)
-    angles[task.hips] = 0.3, -left
+    angles[task.facts.hips] = 0.3, -left
     together = replace(ground, angles=angles)
     _, outcome = task.advance(task.begin(ground), apart)
     assert outcome.terms["antiphase"] == pytest.approx(0.0)

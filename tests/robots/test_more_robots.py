@@ -4,18 +4,15 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from compositions import STILL, env_of, reward, walking
 from running import train
 
 from gctd3.data.exploration import Rhythm
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.envs.dmc import load
-from gctd3.envs.factory import build_env
-from gctd3.envs.settings import EnvSettings, Start
 from gctd3.envs.simulation import Simulation
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
-from gctd3.tasks.reward import Endings, Reward
-from gctd3.tasks.walk import WalkingTask
 
 FEET = {"biped_planar": 2, "quadruped": 4, "hexapod": 6}
 FREE = ("pitch", "roll", "yaw", "side")
@@ -31,8 +28,8 @@ def other(name):
     return Robot.from_mjcf(name)
 
 
-def task_of(robot, **reward):
-    return WalkingTask(robot, Reward(**reward), Endings(contact_steps=None, hip_steps=None))
+def task_of(robot, of=None, **settings):
+    return walking(robot, of, contact_steps=None, hip_steps=None, **settings)
 
 
 # Physics.
@@ -142,7 +139,7 @@ def test_tilting_over_is_a_fall():
     robot = Robot.from_mjcf("biped_planar")
     qpos = robot.standing_qpos.copy()
     for pitch, fell in ((0.79, False), (0.81, True), (-0.81, True)):
-        task = task_of(robot, tilt=2.0)
+        task = task_of(robot, reward(tilt=2.0))
         qpos[2] = pitch
         now = task.measure(qpos, np.zeros(robot.model.nv), np.zeros(robot.model.nsensordata))
         _, outcome = task.advance(task.begin(now), now)
@@ -155,15 +152,15 @@ def test_tilting_over_is_a_fall():
 
 def test_reflected_actions_give_reflected_observations(other):
     torch.manual_seed(0)
-    mirror, task = MirrorAugmentation(other, history=1), task_of(other)
-    pair = Simulation(task, 2, Start(angle_noise=0.0, velocity_noise=0.0), threads=1)
+    task = task_of(other, **STILL)
+    mirror, pair = MirrorAugmentation(task.reflection(), history=1), Simulation(task, 2, threads=1)
     pair.reset(np.ones(2, dtype=bool))
     moved = 0.0
     for _ in range(12):
         action = 0.4 * torch.rand(len(other.actuated)) - 0.2
         pair.step(torch.stack([action, mirror.reflect("action", action)]).numpy().astype(float))
         nodes = torch.from_numpy(task.node_features(pair.now))
-        counters = torch.from_numpy(task.counters(pair.progress))
+        counters = torch.from_numpy(task.counters(pair.memory))
         torch.testing.assert_close(mirror.reflect("nodes", nodes[0]), nodes[1], atol=1e-3, rtol=1e-3)
         torch.testing.assert_close(mirror.reflect("nodes", mirror.reflect("nodes", nodes)), nodes)
         assert mirror.reflect("counters", counters[0]).shape == counters[1].shape
@@ -198,7 +195,7 @@ def test_rhythm_moves_pairs_half_a_period_apart(other):
 
 
 def test_environment(name, other):
-    env = build_env(other, EnvSettings(num_envs=2, threads=1), Reward(), seed=0)
+    env = env_of(walking(other), num_envs=2)
     rollout = env.rollout(20, break_when_any_done=False)
     assert rollout["nodes"].shape == (2, 20, KinematicGraph.from_robot(other).num_nodes, 10)
     assert torch.isfinite(rollout["nodes"]).all()

@@ -3,19 +3,16 @@
 import mujoco
 import numpy as np
 import pytest
+from compositions import STILL, walking
 from robots import FREE_LEGS, TWO_LEGS, write
 
 from gctd3.envs.dmc import load
 from gctd3.envs.gym import BipedVectorEnv
-from gctd3.envs.settings import Start
 from gctd3.envs.simulation import BEGINNING, Simulation
 from gctd3.errors import RobotError
 from gctd3.evaluation.perturbations import resting_action
 from gctd3.robots.robot import Robot
-from gctd3.tasks.reward import Endings
-from gctd3.tasks.walk import WalkingTask
 
-STILL = Start(angle_noise=0.0, velocity_noise=0.0)
 HILL = '<asset><hfield name="hill" nrow="2" ncol="2" size="5 5 1 1" elevation="0 1 0 1"/></asset><worldbody>'
 # Legs of 0.52 m swung forward by 0.6 rad: 0.5 m cos 0.6 and the sphere of 0.02 m at their ends.
 CROUCHED = 0.5 * np.cos(0.6) + 0.02
@@ -28,8 +25,8 @@ def key(text, name, *qpos):
 
 def starts(robot):
     """``qpos`` at the start of an episode without noise, on both backends."""
-    task = WalkingTask(robot)
-    simulation, env = Simulation(task, 2, STILL, threads=1), load(task, STILL)
+    task = walking(robot, **STILL)
+    simulation, env = Simulation(task, 2, threads=1), load(task)
     simulation.reset(np.ones(2, dtype=bool))
     env.reset()
     np.testing.assert_array_equal(simulation.qpos[0], simulation.qpos[1])
@@ -44,7 +41,7 @@ def test_shipped_robots_drop_from_their_reference_pose(name):
     for start in starts(robot):
         np.testing.assert_array_equal(start, model.qpos0)
     # To the last bit: what MuJoCo makes of the same random numbers by itself.
-    simulation, rng = Simulation(WalkingTask(robot), 1, seed=7, threads=1), np.random.default_rng(7)
+    simulation, rng = Simulation(walking(robot), 1, seed=7, threads=1), np.random.default_rng(7)
     simulation.reset(np.ones(1, dtype=bool))
     data.time = BEGINNING
     data.qpos[[j.qpos for j in robot.joints]] += rng.uniform(-0.05, 0.05, len(robot.joints))
@@ -72,7 +69,7 @@ def test_without_a_key_it_stands_where_its_feet_touch(tmp_path, text, spawned):
 def test_it_stays_up_where_it_stands(tmp_path):
     path = write(tmp_path, TWO_LEGS)
     robot = Robot.from_mjcf(path)
-    simulation = Simulation(WalkingTask(robot, endings=Endings(contact_steps=None, hip_steps=None)), 1, STILL)
+    simulation = Simulation(walking(robot, contact_steps=None, hip_steps=None, **STILL), 1)
     simulation.reset(np.ones(1, dtype=bool))
     for _ in range(60):
         outcome = simulation.step(resting_action(robot).numpy()[None])
@@ -103,7 +100,7 @@ def test_it_starts_in_the_named_pose(tmp_path, name, text, base):
     frame = BipedVectorEnv(1, str(path), history=1, threads=1).reset(seed=0)[0][0]
     assert frame[0, 0] == pytest.approx(0.0, abs=1e-6)
     np.testing.assert_allclose(np.abs(frame[[-3, -2], 0]), 0.6, atol=0.05)  # the joints, off by noise
-    asked = Simulation(WalkingTask(robot), 1, threads=1).desired(resting_action(robot).numpy()[None].astype(float))
+    asked = Simulation(walking(robot), 1, threads=1).desired(resting_action(robot).numpy()[None].astype(float))
     np.testing.assert_allclose(asked, [[0.6, -0.6]], atol=1e-6)
 
 

@@ -2,19 +2,18 @@
 
 import pytest
 import torch
+from compositions import library_env
 from resuming import assert_same_run, stopped
 from running import command, train
 from tensordict import TensorDict
 
 from gctd3.envs.checkpointing import env_state, load_env_state
-from gctd3.envs.factory import build_env
-from gctd3.envs.settings import LibrarySettings
+from gctd3.envs.library import make_robot
 from gctd3.files import load_tree, save_tree
-from gctd3.tasks.reward import Reward
 from gctd3.training.checkpoint import Checkpoints
 
-FEW = ["env.num_envs=2", "env.history=2", "evaluation.episodes=1", "total_frames=200", "network.graph_layers=[8]"]
-FLAT = ["env.observation=flat", "algo=td3", "network.graph_layers=[]"]
+FEW = ["env.num_envs=2", "task.history=2", "evaluation.episodes=1", "total_frames=200", "network.graph_layers=[8]"]
+FLAT = ["task.observation=flat", "algo=td3", "network.graph_layers=[]"]
 WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episodes", "total_frames"]
 
 
@@ -22,11 +21,11 @@ WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episod
 @pytest.mark.parametrize(
     "task, every",
     [
-        (["env=walker2d"], 100),
-        pytest.param(["env=walker2d", *FLAT], 100, marks=pytest.mark.nightly),
-        pytest.param(["env=walker2d", "env.static=true"], 100, marks=pytest.mark.nightly),
-        pytest.param(["env=ant", "env.task=Humanoid-v5"], 100, marks=pytest.mark.nightly),
-        pytest.param(["env=walker_walk"], 200, marks=pytest.mark.nightly),
+        (["task=walker2d"], 100),
+        pytest.param(["task=walker2d", *FLAT], 100, marks=pytest.mark.nightly),
+        pytest.param(["task=walker2d", "task.static=true"], 100, marks=pytest.mark.nightly),
+        pytest.param(["task=ant", "task.name=Humanoid-v5"], 100, marks=pytest.mark.nightly),
+        pytest.param(["task=walker_walk"], 200, marks=pytest.mark.nightly),
     ],
 )
 def test_stopped_and_resumed_equals_left_alone(tmp_path, task, every):
@@ -50,7 +49,7 @@ def follow(env, state, actions):
 # Ant falls; its reward reads what was derived before the last integration. The others' episodes have 1,000 steps; the
 # swimmer's target is moved in the model at each reset. The actions of Humanoid and of the quadruped are scaled.
 @pytest.mark.parametrize(
-    "library, task, before, after",
+    "library, name, before, after",
     [
         ("gymnasium", "Ant-v5", 30, 20),
         ("gymnasium", "HalfCheetah-v5", 990, 20),
@@ -59,9 +58,8 @@ def follow(env, state, actions):
         ("dm_control", "quadruped-walk", 990, 20),
     ],
 )
-def test_a_robot_goes_on_as_it_would_have(tmp_path, library, task, before, after):
-    settings = LibrarySettings(library, task, num_envs=1)
-    env, other = (build_env(settings.load_robot(), settings, Reward(), seed) for seed in (3, 4))
+def test_a_robot_goes_on_as_it_would_have(tmp_path, library, name, before, after):
+    env, other = (library_env(library, name, seed=seed) for seed in (3, 4))
     generator = torch.Generator().manual_seed(0)
     actions = 2 * torch.rand(before + after, 1, *env.action_spec.shape[1:], generator=generator) - 1
     _, state = follow(env, env.reset(), actions[:before])
@@ -80,11 +78,10 @@ def test_a_robot_goes_on_as_it_would_have(tmp_path, library, task, before, after
 
 def test_the_state_of_another_robot_is_refused(tmp_path):
     envs = []
-    for task in ("Walker2d-v5", "Ant-v5"):
-        settings = LibrarySettings("gymnasium", task, num_envs=1)
-        envs.append(build_env(settings.load_robot(), settings, Reward(), 0))
+    for name in ("Walker2d-v5", "Ant-v5"):
+        envs.append(library_env("gymnasium", name))
         envs[-1].reset()
     with pytest.raises(ValueError, match=r"state has \d+ numbers, got \d+"):
         load_env_state(envs[0].base_env, env_state(envs[1].base_env))
     with pytest.raises(TypeError, match="state of a GymEnv cannot be read"):
-        env_state(settings.make())
+        env_state(make_robot("gymnasium", "Ant-v5"))

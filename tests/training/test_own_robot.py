@@ -13,9 +13,10 @@ defaults:
   - _self_
 robot:
   name: robot.xml
-env:
-  endings:
-    contact_steps: null
+task:
+  terminations:
+    long_contact:
+      steps: null
 """
 
 
@@ -36,17 +37,18 @@ def test_options_stand_anywhere_among_the_settings(tmp_path, way):
     # On both sides, as nothing about key=value says which comes first.
     assert command("train", "algo=td3", *words, *tiny(tmp_path / "run", "robot=mine", "total_frames=160")) == 0
     settings = load_settings(tmp_path / "run")
-    endings = settings.env.endings
+    ends = settings.task.terminations
     # Its own, the quadruped's, everybody's.
-    assert (endings.contact_steps, endings.fall_height, endings.finish) == (None, -0.2, 15.0)
-    assert settings.robot.name == "robot.xml" and settings.load_robot().feet == ("leg_r", "leg_l")
+    assert (ends["long_contact"].steps, ends["fall"].height, ends["finish"].distance) == (None, -0.2, 15.0)
+    assert settings.robot.name == "robot.xml" and settings.setup().robot.feet == ("leg_r", "leg_l")
     # What it says is in the run by now, so the YAML may be found again, or not.
     resume = f"resume={tmp_path / 'run'}"
     assert command("train", resume, *words, "total_frames=320") == 0
     (tmp_path / "own").rename(tmp_path / "gone")
     assert command("train", resume, "total_frames=400") == 0
     assert rows(tmp_path / "run")[-1]["frames"] == "400"
-    assert load_settings(tmp_path / "run").env == settings.env
+    resumed = load_settings(tmp_path / "run")
+    assert (resumed.task, resumed.env) == (settings.task, settings.env)
 
 
 @pytest.mark.parametrize("way", WAYS[1:])
@@ -62,9 +64,9 @@ def test_options_are_known_whatever_names_their_folder(tmp_path, way):
 def test_another_robots_settings(tmp_path):
     assert answered("train", *tiny(tmp_path / "run", "robot=quadruped", "robot.name=robot.xml")) == 0
     settings = load_settings(tmp_path / "run")
-    assert settings.robot.name == "robot.xml" and settings.env.endings.contact_steps == 50
+    assert settings.robot.name == "robot.xml" and settings.task.terminations["long_contact"].steps == 50
     assert answered("train", *tiny(tmp_path / "plain", "robot=robot.xml")) == 0
-    assert load_settings(tmp_path / "plain").env.endings.contact_steps == 40
+    assert load_settings(tmp_path / "plain").task.terminations["long_contact"].steps == 40
 
 
 def test_what_is_no_setting_is_still_refused(tmp_path, capsys):

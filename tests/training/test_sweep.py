@@ -77,7 +77,7 @@ def test_the_mlp_among_the_graphs_has_as_many_parameters():
     sizes = {}
     for overrides, config in jobs("graphs"):
         settings = build(config)
-        actor_and_critics = settings.algo.build(settings.architecture()).optimizers.values()
+        actor_and_critics = settings.algo.build(settings.setup().architecture()).optimizers.values()
         counts = [sum(p.numel() for group in o.param_groups for p in group["params"]) for o in actor_and_critics]
         sizes[overrides[1]] = counts
     mlp, tree = sizes["experiment/graphs=mlp"], sizes["experiment/graphs=tree"]

@@ -207,9 +207,9 @@ TABLE_4 = {
     "env.num_envs": 1,
     "steps": 1,
     "updates": 1,
-    "env.history": 5,
-    "env.control_dt": 0.02,
-    "env.endings.finish": 15.0,
+    "task.history": 5,
+    "task.control_dt": 0.02,
+    "task.terminations.finish.distance": 15.0,
     "network.norm": "none",
     "algo.average_policy": False,
     "algo.privileged_critic": False,
@@ -227,9 +227,9 @@ def test_the_papers_experiment_is_table_4(tmp_path):
     assert config.reward == config.evaluation.reward
     settings = build(config)
     # The optimiser is Adam; the episodes end the training, whatever their length.
-    algorithm = settings.algo.build(settings.architecture())
+    algorithm = settings.algo.build(settings.setup().architecture())
     assert all(isinstance(optimizer, torch.optim.Adam) for optimizer in algorithm.optimizers.values())
-    assert settings.total_frames >= settings.total_episodes * settings.env.endings.time_limit
+    assert settings.total_frames >= settings.total_episodes * settings.task.terminations["time_limit"].steps
     assert settings.stop_when.evaluations is None
 
     ours = ["env.num_envs", "updates", "network.hidden", "total_frames"]

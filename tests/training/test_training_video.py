@@ -52,8 +52,8 @@ def test_the_training_is_the_same(runs):
 
 def test_what_cannot_be_filmed_is_answered_before_anything_is_written(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert command("train", *tiny(tmp_path / "run", "video=true", "env=walker2d", without=("env.threads",))) == 2
-    assert "video must be false for a library's task" in capsys.readouterr().err
+    assert command("train", *tiny(tmp_path / "run", "video=true", "task=walker2d", without=("env.threads",))) == 2
+    assert "video must be false for Walker2d-v5, got true: film is for simulated tasks." in capsys.readouterr().err
     find = film.importlib.util.find_spec
     monkeypatch.setattr(film.importlib.util, "find_spec", lambda name: None if name == "imageio_ffmpeg" else find(name))
     assert command("train", *tiny(tmp_path / "run", "video=true")) == 2

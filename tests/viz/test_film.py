@@ -8,15 +8,13 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+from compositions import env_of
 from PIL import Image
 
 import gctd3
-from gctd3.envs.factory import build_env
-from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError
 from gctd3.robots.robot import Robot
 from gctd3.runs.judge import evaluate
-from gctd3.tasks.reward import Reward
 from gctd3.viz import film
 from gctd3.viz.film import Walk, draw, record, sheet, write_animation
 
@@ -29,17 +27,16 @@ def actor(graph):
 
 
 @pytest.fixture(scope="module")
-def walk(actor, robot):
-    return record(actor, robot, EnvSettings(), seed=3)
+def walk(actor, task):
+    return record(actor, task, seed=3)
 
 
-def test_the_walk_is_the_one_that_evaluation_judges(actor, robot, walk):
-    settings = EnvSettings(num_envs=1, threads=1)
-    (episode,) = evaluate(actor, build_env(robot, settings, Reward(), 0), robot, 3, 0.02).episodes
+def test_the_walk_is_the_one_that_evaluation_judges(actor, task, walk):
+    (episode,) = evaluate(actor, env_of(task, num_envs=1), task, 3).episodes
     np.testing.assert_array_equal(walk.reward.astype(np.float32), episode.reward.astype(np.float32))
     np.testing.assert_allclose(walk.position, episode.position, atol=1e-6)
     assert walk.total[-1] == pytest.approx(episode.reward.sum(), abs=1e-4)
-    assert len(record(actor, robot, EnvSettings(), seed=3, most_steps=5).qpos) == 5
+    assert len(record(actor, task, seed=3, most_steps=5).qpos) == 5
 
 
 def frame(walk, robot, step=0, camera="side", size=(200, 160), words=True):

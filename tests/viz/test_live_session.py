@@ -4,21 +4,21 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from compositions import walking
 from tensordict.nn import TensorDictModule
 
-from gctd3.envs.settings import EnvSettings
 from gctd3.robots.robot import Robot
-from gctd3.tasks.reward import Endings
-from gctd3.viz.live_session import LiveWalk, endless
+from gctd3.viz.live_session import LiveWalk
 
 
-def live(name="biped", **settings):
+def live(name="biped", endless=False, **settings):
     """A walk that stands: every servo in the middle of its range, but the biped's at straight legs."""
     robot = Robot.from_mjcf(name)
     low, high = robot.action_range.T
     still = torch.tensor(-(high + low) / (high - low) if name == "biped" else 0 * low, dtype=torch.float32)
     stand = TensorDictModule(lambda nodes: still.expand(*nodes.shape[:-2], -1), ["nodes"], ["action"])
-    return LiveWalk(stand, robot, EnvSettings(**settings), seed=5)
+    task = walking(robot, **settings)
+    return LiveWalk(stand, task.endless() if endless else task, seed=5)
 
 
 def momentum(walk):
@@ -59,7 +59,7 @@ def test_a_payload_is_mass_and_can_be_taken_off():
 
 
 def test_friction_is_that_of_the_contacts():
-    walk = live(endings=endless(Endings()))
+    walk = live(endless=True)
     for _ in range(20):
         walk.step()
     for friction in (0.2, 1.3):
@@ -75,10 +75,9 @@ def test_only_a_fall_ends_an_endless_walk():
         pass
     # 40 steps on a foot are allowed, and it takes a few to land.
     assert 0.8 < walk.now.time < 1.0 and not walk.now.success
-    walk = live(endings=endless(Endings()))
+    walk = live(endless=True)
     assert not any(walk.step().done for _ in range(200))
-    with_fall = endless(Endings(fall_height=0.5))
-    assert live(endings=with_fall).step().done
+    assert live(endless=True, fall_height=0.5).step().done
 
 
 def test_equal_seeds_equal_starts():

@@ -1,0 +1,68 @@
+"""Terms that are wrong on the command line: one line that names the key, the value and what is accepted."""
+
+import pytest
+from running import command, tiny
+
+COMMAND = "+task.commands.speed._target_=gctd3.UniformCommand"
+NOTHING = [f"reward.terms.{name}=null" for name in ("velocity", "progress", "height", "fall", "long_contact")]
+KNOWN = "Remembered: step, position[6], height[5], feet_down[5]"
+WRONG = {
+    # What it is.
+    "+reward.terms.x._target_=gctd3.Fal": ["reward.terms.x", "'gctd3.Fal'", "Did you mean 'gctd3.Fall'?"],
+    "+reward.terms.x._target_=nowhere.Fall": ["reward.terms.x", "'nowhere.Fall'", "module 'nowhere' is installed"],
+    "+reward.terms.x._target_=gctd3.Fall": ["reward.terms.x must be null or", "_target_ is a RewardTerm, got Fall"],
+    "+evaluation.reward.terms.x._target_=gctd3.Fall": ["evaluation.reward.terms.x must", "a RewardTerm, got Fall"],
+    "+task.terminations.x._target_=gctd3.Living": ["task.terminations.x must", "is a Termination, got Living"],
+    "+task.features.x._target_=gctd3.Living": ["task.features.x must", "is a NodeFeature, got Living"],
+    "+task.randomisations.x._target_=gctd3.Living": ["task.randomisations.x must", "is a Randomisation, got Living"],
+    "+task.commands.x._target_=gctd3.Living": ["task.commands.x must", "is a Command, got Living"],
+    "+reward.terms.x=3": ["reward.terms.x must be null or a mapping", "got 3"],
+    "+reward.terms.x.weight=1": ["reward.terms.x must be null or a mapping", "got {'weight': 1}"],
+    "reward.terms.fal.weight=1": ["'reward.terms.fal'", "Did you mean 'reward.terms.fall'?"],
+    "task.features=null": ["task.features must be a mapping, got None"],
+    f"reward=table3 {' '.join(NOTHING)}": ["reward.terms must hold at least one term, got none"],
+    "task.features.height=null task.features.velocity=null task.features.angle=null "
+    "task.features.angular_velocity=null task.features.contact=null": ["task.features must hold at least one feature"],
+    # Its numbers.
+    "reward.terms.fall.weight=heavy": ["reward.terms.fall.weight must be a number, got 'heavy'"],
+    "reward.terms.fall.weight=true": ["reward.terms.fall.weight must be a number, got True"],
+    "reward.terms.fall.weight=null": ["reward.terms.fall.weight must be a number, got None"],
+    "reward.terms.fall.wait=1": ["'reward.terms.fall.wait'", "Did you mean 'reward.terms.fall.weight'?"],
+    f"{COMMAND} +task.commands.speed.every=0": ["task.commands.speed.every must be above 0 s, got 0.0"],
+    f"{COMMAND} +task.commands.speed.low=[2.0]": ["task.commands.speed.low and high must hold", "[2.0] and [1.0]"],
+    # What it reads of others.
+    "reward.terms.fall.by=fal": ["reward.terms.fall", "'fal'", "Did you mean 'fall'?", "long_contact, stuck_hip"],
+    "evaluation.reward.terms.fall.by=fal": ["evaluation.reward.terms.fall", "'fal'", "Did you mean 'fall'?"],
+    "+task.features.x._target_=own_terms.AskedSpeed": ["task.features.x reads 'command.speed'", KNOWN],
+    "+reward.terms.x._target_=own_terms.FollowSpeed": ["reward.terms.x reads 'command.speed'", KNOWN],
+    "+task.terminations.x._target_=own_terms.MissedSpeed": ["task.terminations.x reads 'command.speed'", "step, "],
+    # What it returns.
+    "+task.features.x._target_=own_terms.OfWheels": ["task.features.x", "'wheel'", "kinds: root, base, joint, ground"],
+    "+task.features.x._target_=own_terms.TooWide": ["task.features.x must return", "[2, 1, 1], got [2, 1, 2]"],
+    "+reward.terms.x._target_=own_terms.OneForAll": ["reward.terms.x must return a number", "shape [2], got []"],
+    "+task.terminations.x._target_=own_terms.Numbers": ["task.terminations.x must return true or false", "float64"],
+    # What it remembers.
+    "+reward.terms.x._target_=own_terms.WrongShape": ["reward.terms.x must remember 'sums' as [2, 2]", "got [2]"],
+    "+reward.terms.x._target_=own_terms.OtherType": ["reward.terms.x must remember 'halves'", "int64, got", "float64"],
+    "+reward.terms.x._target_=own_terms.Rising +reward.terms.y._target_=own_terms.Doubling": [
+        "reward.terms.y and reward.terms.x remember different things by the name 'shared'"
+    ],
+    # Where it runs.
+    "env.backend=library": ["env.backend must be batched or dm_control for walk, got library"],
+    "task=ant env.backend=batched": ["env.backend must be library for Ant-v5, got batched"],
+}
+
+
+@pytest.mark.parametrize("arguments", WRONG)
+def test_a_wrong_term_is_answered_in_a_line(capfd, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    assert command("train", *tiny(tmp_path / "run", *arguments.split())) == 2
+    error = capfd.readouterr().err
+    assert error.startswith("error: ") and error.count("\n") == 1, error
+    assert all(words in error for words in WRONG[arguments]), error
+    assert not list(tmp_path.iterdir())
+
+
+def test_two_terms_may_remember_the_same_thing(tmp_path):
+    same = [f"+reward.terms.{name}._target_=own_terms.Rising" for name in "xy"]
+    assert command("train", *tiny(tmp_path / "run", *same)) == 0

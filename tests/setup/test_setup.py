@@ -1,0 +1,58 @@
+"""What a training derives from its settings is derived once: the robot is compiled once, its graph built once."""
+
+import mujoco
+import pytest
+from running import Recorded, command, tiny
+
+from gctd3.robots import robot as robot_module
+from gctd3.robots.graph import KinematicGraph
+
+FROM_ROBOT = KinematicGraph.from_robot.__func__
+
+
+@pytest.fixture
+def seen(monkeypatch):
+    """What was read and compiled, and over which robots graphs were built, in order."""
+    found = []
+
+    def load(source):
+        found.append(f"read {source}")
+        return read(source)
+
+    def compiled(path, *rest):
+        found.append("compile")
+        return from_path(path, *rest)
+
+    def build(cls, *arguments, **named):
+        found.append("graph")
+        return FROM_ROBOT(cls, *arguments, **named)
+
+    read, from_path = robot_module.load_mjcf, mujoco.MjModel.from_xml_path
+    monkeypatch.setattr(robot_module, "load_mjcf", load)
+    monkeypatch.setattr(mujoco.MjModel, "from_xml_path", staticmethod(compiled))
+    monkeypatch.setattr(KinematicGraph, "from_robot", classmethod(build))
+    return found
+
+
+@pytest.mark.parametrize("backend", ["batched", "dm_control"])
+def test_the_robot_is_compiled_once_and_its_graph_built_once(tmp_path, seen, backend):
+    before_the_first_step = []
+
+    class Watched(Recorded):
+        def run(self, stop=None):
+            before_the_first_step.extend(seen)
+            return super().run(stop)
+
+    # Networks that know left from right and mirrored replay ask for the reflection, too.
+    asked = tiny(tmp_path / "run", f"env.backend={backend}", "network=equivariant")
+    assert command("train", *asked, trainer=Watched) == 0
+    assert before_the_first_step == ["read biped", "compile", "graph"]
+    # Nor is it read again while it is trained and judged.
+    assert seen == before_the_first_step
+
+
+def test_a_run_is_read_once(tmp_path, seen):
+    assert command("train", *tiny(tmp_path / "run")) == 0
+    seen.clear()
+    assert command("evaluate", f"run={tmp_path / 'run'}", "episodes=1", "threads=1") == 0
+    assert seen == ["read biped", "compile", "graph"]
