@@ -221,7 +221,7 @@ def test_an_export_that_differs_is_not_written(tmp_path, monkeypatch, capsys):
 
 
 def test_what_is_missing_is_named_before_anything_is_done(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("gctd3.deploy.export.find_spec", lambda name: None if name == "onnxscript" else object())
+    monkeypatch.setattr("gctd3.deploy.settings.find_spec", lambda name: None if name == "onnxscript" else object())
     assert command("export", f"out={tmp_path / 'policy.onnx'}") == 2
     assert "needs onnxscript: pip install 'gctd3[export]'" in capsys.readouterr().err
 
