@@ -67,7 +67,7 @@ def transitions() -> TensorDictBase:
 def ours(network: Network, batch: int, data: TensorDictBase, graph: gctd3.KinematicGraph) -> Callable[[], Any]:
     """Our TD3 and replay."""
     algorithm = TD3Settings().build(Architecture(graph, network, FEATURES, ACTIONS))
-    replay = Replay(ReplaySettings(capacity=HELD, batch_size=batch, n_step=1, mirror=False), gamma=0.99)
+    replay = Replay(ReplaySettings(buffer_size=HELD, batch_size=batch, n_step=1, mirror=False), gamma=0.99)
     replay.extend(data)
     return lambda: algorithm.update(replay.sample())
 
@@ -84,7 +84,7 @@ def stock(network: Network, batch: int, data: TensorDictBase, graph: gctd3.Kinem
         return torch.optim.Adam([p for p in parameters.values(True, True) if p.requires_grad], lr=3e-4)
 
     critic, actor = adam(loss.qvalue_network_params), adam(loss.actor_network_params)
-    settings = ReplaySettings(capacity=HELD, batch_size=batch, n_step=1, mirror=False, storage="stacked")
+    settings = ReplaySettings(buffer_size=HELD, batch_size=batch, n_step=1, mirror=False, storage="stacked")
     replay = Replay(settings, gamma=0.99)
     replay.extend(data)
     count = 0

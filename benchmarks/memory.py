@@ -1,6 +1,6 @@
 """Resident memory of a training over its time: does it grow once the replay is full?
 
-    python benchmarks/memory.py [minutes=60] [out=FILE.json] [runs=DIR] [replay.capacity=100_000] [threads=1]
+    python benchmarks/memory.py [minutes=60] [out=FILE.json] [runs=DIR] [replay.buffer_size=100_000] [threads=1]
 
 Trains with the defaults and any further ``key=value``, without an end, and reads the process's memory every 10 s (from
 ``/proc``, so on Linux). Growth is that of the medians: the last tenth of the time after the replay is full against the
@@ -23,7 +23,7 @@ from gait_table import read_progress
 from gctd3.training.run_log import PROGRESS
 
 OWN = {"minutes": "60", "out": "", "runs": "runs/memory"}
-ENDLESS = {"stop_when": "never", "total_frames": "1_000_000_000", "replay.capacity": "100_000"}
+ENDLESS = {"stop_when": "never", "total_frames": "1_000_000_000", "replay.buffer_size": "100_000"}
 EVERY = 10.0  # s
 
 Sample = tuple[float, int, float]  # minutes, frames at the last evaluation, resident memory (MB)
@@ -84,7 +84,7 @@ def main() -> None:
         raise SystemExit(f"{run} is there already: choose another runs=")
     line = [sys.executable, "-m", "gctd3.train", *(f"{k}={v}" for k, v in settings.items()), f"hydra.run.dir={run}"]
     samples = watch(line, run, float(own["minutes"]))
-    first, last = growth(samples, int(settings["replay.capacity"]))
+    first, last = growth(samples, int(settings["replay.buffer_size"]))
     print(f"\nonce the replay is full: {first:.0f} MB, at the end {last:.0f} MB ({last / first - 1:+.1%})")
     figures = {"settings": settings, "samples": samples, "first_mb": first, "last_mb": last, "growth": last / first - 1}
     report("memory", figures, own["out"])

@@ -35,7 +35,7 @@ from gctd3.training.trainer import Trainer
 
 CORES = (10, 100, 1000)
 # No warm-up, evaluation or checkpoint comes in between.
-STEADY = ["logger=none", "exploration.warmup_frames=0", "evaluation.every=1_000_000_000", "checkpoint_every=1e9"]
+STEADY = ["logger=none", "exploration.learning_starts=0", "evaluation.every=1_000_000_000", "checkpoint_every=1e9"]
 STEADY += ["total_frames=1_000_000_000"]
 # A training that ends with the first evaluation that gait_table.passes, whatever else it would be asked for.
 FIRST_GAIT = ["stop_when.evaluations=1", f"stop_when.at_least.return_mean={RETURN}"]

@@ -28,7 +28,7 @@ def suggest(trial: Trial) -> dict[str, float]:
         "algo.learning_rate": trial.suggest_float("algo.learning_rate", 1e-4, 1e-3, log=True),
         "algo.tau": trial.suggest_float("algo.tau", 1e-3, 2e-2, log=True),
         "replay.n_step": trial.suggest_int("replay.n_step", 1, 5),
-        "updates": trial.suggest_int("updates", 2, 8),
+        "gradient_steps": trial.suggest_int("gradient_steps", 2, 8),
     }
 
 

@@ -7,6 +7,7 @@ imported: objects of other libraries come as arguments.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -258,3 +259,27 @@ def own_launcher(settings: Mapping[str, Any]) -> bool:
     Private: the package ``hydra._internal``, where it lives (hydra-core 1.3.8).
     """
     return str(settings.get("_target_")).startswith("hydra._internal")
+
+
+def complete_compositions(complete: Callable[[Any], None]) -> None:
+    """Call ``complete`` with whatever Hydra composes from YAMLs, before it merges the command line's overrides.
+
+    Hydra has no plug-in for that moment. A second call changes nothing.
+
+    Private: ``ConfigLoaderImpl._compose_config_from_defaults_list`` of the package ``hydra._internal`` (hydra-core
+    1.3.8).
+    """
+    from hydra._internal.config_loader_impl import ConfigLoaderImpl
+
+    name = "_compose_config_from_defaults_list"
+    compose = read(ConfigLoaderImpl, name, HYDRA)
+    if hasattr(compose, "__wrapped__"):
+        return
+
+    @functools.wraps(compose)
+    def completed(*arguments: Any, **named: Any) -> Any:  # noqa: ANN401 - Hydra's
+        config = compose(*arguments, **named)
+        complete(config)
+        return config
+
+    setattr(ConfigLoaderImpl, name, completed)

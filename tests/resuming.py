@@ -35,7 +35,7 @@ def final_state(run):
     state, parts = Checkpoints(run).newest()
     parts = list(parts)
     # Older parts may begin before the ring does.
-    rows = TINY["replay.capacity"] // TINY["env.num_envs"]
+    rows = TINY["replay.buffer_size"] // TINY["env.num_envs"]
     state["rows"] = {key: torch.cat([part[key] for _, part in parts])[-rows:] for key in parts[0][1]} if parts else {}
     return state
 

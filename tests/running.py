@@ -19,12 +19,12 @@ TINY = {
     "threads": 1,
     "logger": "none",
     "total_frames": 240,
-    "exploration.warmup_frames": 80,
-    "updates": 2,
+    "exploration.learning_starts": 80,
+    "gradient_steps": 2,
     "evaluation.every": 80,
     "evaluation.episodes": 2,
     "replay.batch_size": 16,
-    "replay.capacity": 1000,
+    "replay.buffer_size": 1000,
     "network.hidden": "[16,16]",
 }
 

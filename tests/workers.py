@@ -24,7 +24,7 @@ def tiny_settings(*overrides):
 
 def check_that_it_acts_with_the_weights_that_it_is_sent(start, robot):
     """A worker that ``start`` makes of a job; its last weights."""
-    settings = tiny_settings("exploration.warmup_frames=0", "exploration.noise=null")
+    settings = tiny_settings("exploration.learning_starts=0", "exploration.noise=null")
     actor = settings.algo.build(settings.setup().architecture()).actor
     share = slice(2, 5)
     explorer = Explorer(copy.deepcopy(actor).requires_grad_(False), robot, 5, settings.exploration, part=share)

@@ -154,7 +154,7 @@ def explain(error: Exception, config: str) -> str:
     if isinstance(error, GCTD3Error):
         return str(error)
     if isinstance(error, MemoryError):
-        return f"Not enough memory ({error}): lower replay.capacity, env.num_envs or the number of episodes."
+        return f"Not enough memory ({error}): lower replay.buffer_size, env.num_envs or the number of episodes."
     # Hydra's counts as an OSError.
     if isinstance(error, MissingConfigException) and error.options:
         group, _, option = str(error.missing_cfg_file).rpartition("/")

@@ -11,40 +11,28 @@ That is Hydra's own way, but names each class twice, gives nothing to a class fr
 would be left over under another. Prefixing unlisted keys with ``++`` would accept misspelt ones, and reach neither
 YAMLs nor sweeps.
 
-Hydra has no plug-in for that moment, so one method of its loader is wrapped here, the only place of the package that
-does so. Importing ``gctd3.conf`` does it, and Hydra cannot read ``pkg://gctd3.conf`` without importing that: so every
-process composes alike, those of a launcher and other projects' too.
+Hydra has no plug-in for that moment, so one method of its loader is wrapped, in :mod:`gctd3.compat`. Importing
+``gctd3.conf`` does it, and Hydra cannot read ``pkg://gctd3.conf`` without importing that: so every process composes
+alike, those of a launcher and other projects' too.
 """
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from omegaconf import DictConfig, ListConfig, OmegaConf, flag_override
 
+from gctd3.compat import complete_compositions
 from gctd3.config.fields import TARGET, defaults_of, find, is_settings
 from gctd3.errors import ConfigError
 
 OWN = "gctd3."
-_METHOD = "_compose_config_from_defaults_list"  # of Hydra 1.3: merges the YAMLs; overrides come after it
 _HYDRAS = "hydra"  # Hydra's own part of a configuration
 
 
 def install() -> None:
-    """Wrap Hydra's loader, so that every configuration is completed; once, however often it is called."""
-    compose = getattr(ConfigLoaderImpl, _METHOD)
-    if hasattr(compose, "__wrapped__"):
-        return
-
-    @functools.wraps(compose)
-    def completed(*arguments: Any, **named: Any) -> DictConfig:  # noqa: ANN401 - Hydra's
-        config: DictConfig = compose(*arguments, **named)
-        complete(config)
-        return config
-
-    setattr(ConfigLoaderImpl, _METHOD, completed)
+    """Have every configuration that Hydra composes completed; once, however often it is called."""
+    complete_compositions(complete)
 
 
 def complete(config: DictConfig | ListConfig, ours: bool = False, path: str = "") -> None:

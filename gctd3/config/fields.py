@@ -103,7 +103,7 @@ def meanings(cls: type) -> dict[str, str]:
     """Read what the fields of a class mean from the ``Attributes:`` of its docstring and its bases'."""
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__):
-        section = inspect.cleandoc(base.__dict__.get("__doc__") or "").partition("\nAttributes:\n")[2]
+        section = inspect.cleandoc(vars(base).get("__doc__") or "").partition("\nAttributes:\n")[2]
         name = None
         for line in section.splitlines():
             entry = _ENTRY.fullmatch(line)
@@ -138,7 +138,7 @@ def describe(hint: Any) -> str:  # noqa: ANN401
     if hint in (None, type(None)):
         return "null"
     if origin is not None and issubclass(origin, Mapping):
-        return f"a mapping to {describe(inner[1])}"
+        return "a mapping" if inner[1] is Any else f"a mapping to {describe(inner[1])}"
     if origin is not None and issubclass(origin, Sequence):
         return f"a list of {describe(inner[0])}"
     names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}

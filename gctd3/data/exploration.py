@@ -22,16 +22,16 @@ class Rhythm(torch.nn.Module):
     walking but that legs take turns; most draws fall, a few step forward, and those are what the critic starts from.
     A joint without a mirror image follows its own sine.
 
-    With ``heirs`` the gaits evolve: every robot remembers its gait that got farthest, and that share of new gaits are
-    mutations of what a few robots remember, of the farthest among them. So a robot that has to balance, which hardly
-    any draw does, is soon shown gaits that do.
+    With ``mutation_share`` the gaits evolve: every robot remembers its gait that got farthest, and that share of new
+    gaits are mutations of what a few robots remember, of the farthest among them. So a robot that has to balance,
+    which hardly any draw does, is soon shown gaits that do.
 
     Args:
         robot: The robot.
         num_robots: Robots.
         frequency: Lowest and highest frequency (Hz).
         control_dt: Control period (s).
-        heirs: Share of new gaits that descend from others.
+        mutation_share: Share of new gaits that descend from others.
     """
 
     leader: Tensor
@@ -52,7 +52,7 @@ class Rhythm(torch.nn.Module):
     MUTATION: Mapping[str, float] = {"offset": 0.1, "amplitude": 0.1, "phase": 0.04, "frequency": 0.1}
 
     def __init__(
-        self, robot: Robot, num_robots: int, frequency: Sequence[float], control_dt: float, heirs: float = 0.0
+        self, robot: Robot, num_robots: int, frequency: Sequence[float], control_dt: float, mutation_share: float = 0.0
     ) -> None:
         super().__init__()
         partner = torch.from_numpy(robot.action_mirror[0])
@@ -65,8 +65,8 @@ class Rhythm(torch.nn.Module):
             self.register_buffer(name, torch.zeros(num_robots, len(partner)))
         self.register_buffer("cycles", torch.zeros(num_robots))
         self.register_buffer("frequency", torch.zeros(num_robots))
-        self._range, self._dt, self._heirs = tuple(frequency), control_dt, heirs
-        if heirs:
+        self._range, self._dt, self._heirs = tuple(frequency), control_dt, mutation_share
+        if mutation_share:
             self.register_buffer("farthest", torch.full((num_robots,), -math.inf))
             for name in self.MUTATION:
                 self.register_buffer(f"best_{name}", torch.zeros_like(getattr(self, name)))
@@ -114,7 +114,7 @@ class Rhythm(torch.nn.Module):
 
         Args:
             is_init: Whose episode begins, bool ``[robots]``.
-            position: Distance walked, ``[robots]`` (m); only heirs need it.
+            position: Distance walked, ``[robots]`` (m); only mutation_share need it.
         """
         if self._heirs and position is not None:
             self.remember(torch.where(is_init, -math.inf, position))
@@ -129,7 +129,7 @@ class Rhythm(torch.nn.Module):
 class Explorer(TensorDictModuleBase):
     """The policy that collects: warm-up first, then the actor with noise.
 
-    Reads what the actor reads and ``"is_init"``, and ``"position"`` if gaits have heirs; writes ``"action"``
+    Reads what the actor reads and ``"is_init"``, and ``"position"`` if gaits have mutation_share; writes ``"action"``
     ``[robots, A]``.
 
     Args:
@@ -162,13 +162,15 @@ class Explorer(TensorDictModuleBase):
         super().__init__()
         self.num_robots = num_robots
         robots = len(range(num_robots)[part])
-        self.in_keys = [*actor.in_keys, "is_init", *(["position"] if settings.heirs else [])]
+        self.in_keys = [*actor.in_keys, "is_init", *(["position"] if settings.mutation_share else [])]
         self.out_keys = ["action"]
         self.actor = actor
         self.settings = settings
         settings.check_robot(robot, control_dt)
         rhythmic = settings.warmup == "rhythmic"
-        self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, settings.heirs) if rhythmic else None
+        self.rhythm = (
+            Rhythm(robot, robots, settings.frequency, control_dt, settings.mutation_share) if rhythmic else None
+        )
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
@@ -183,7 +185,7 @@ class Explorer(TensorDictModuleBase):
     @property
     def warming_up(self) -> bool:
         """Whether the policy has not acted yet."""
-        return int(self.frames) < self.settings.warmup_frames
+        return int(self.frames) < self.settings.learning_starts
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the next action of every robot."""
@@ -211,7 +213,7 @@ class Explorer(TensorDictModuleBase):
 
     def _warmup(self, tensordict: TensorDictBase) -> Tensor:
         if self.rhythm is not None:
-            position = tensordict.get("position").reshape(-1) if self.settings.heirs else None
+            position = tensordict.get("position").reshape(-1) if self.settings.mutation_share else None
             return self.rhythm(tensordict.get("is_init").reshape(-1), position)
         if (int(self.frames) // self.num_robots) % self.settings.hold == 0:
             self.held.uniform_(-1.0, 1.0)

@@ -64,14 +64,14 @@ class FrameBuffer:
         least = self.history + self.n_step
         if self.rows < least:
             raise ConfigError(
-                f"replay.capacity must be at least {least * self.robots} for {self.robots} robots, "
+                f"replay.buffer_size must be at least {least * self.robots} for {self.robots} robots, "
                 f"a history of {self.history} and {self.n_step} steps, got {self.capacity}."
             )
         try:
             for key, values in step.items():
                 self._ring[key] = torch.zeros((self.rows, *values.shape), dtype=values.dtype, device=self.device)
         except RuntimeError as error:
-            raise MemoryError(f"replay.capacity={self.capacity}") from error
+            raise MemoryError(f"replay.buffer_size={self.capacity}") from error
         self._ring["last"] = torch.full((self.rows, self.robots), -1, dtype=torch.int32, device=self.device)
         self._flat = {key: values.flatten(0, 1) for key, values in self._ring.items()}
         for key in self.KEYS:

@@ -42,9 +42,11 @@ class Replay:
         self.settings, self.mirror = settings, mirror if mirror is None else mirror.to(device)
         self.buffer: FrameBuffer | StackedBuffer
         if settings.storage == "frames":
-            self.buffer = FrameBuffer(settings.capacity, settings.batch_size, history, settings.n_step, gamma, device)
+            self.buffer = FrameBuffer(
+                settings.buffer_size, settings.batch_size, history, settings.n_step, gamma, device
+            )
         else:
-            self.buffer = StackedBuffer(settings.capacity, settings.batch_size, settings.n_step, gamma, device)
+            self.buffer = StackedBuffer(settings.buffer_size, settings.batch_size, settings.n_step, gamma, device)
 
     def __len__(self) -> int:
         return len(self.buffer)

@@ -24,11 +24,11 @@ class ExplorationSettings:
     Attributes:
         warmup: ``rhythmic``: a sine for every joint, left and right half a period apart (:class:`.Rhythm`);
             ``uniform``: random actions, each held for a while.
-        warmup_frames: Frames of all robots together before the policy acts.
+        learning_starts: Frames of all robots together before the policy acts.
         hold: Control steps for which warmup=uniform holds an action.
         frequency: Lowest and highest frequency of warmup=rhythmic (Hz).
-        heirs: Share of warmup=rhythmic's gaits that are mutations of those that got farthest before; the rest are drawn
-            anew.
+        mutation_share: Share of warmup=rhythmic's gaits that are mutations of those that got farthest before; the rest
+            are drawn anew.
         noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions (half a joint's
             range), spread geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for
             a policy that is random by itself.
@@ -37,22 +37,22 @@ class ExplorationSettings:
     """
 
     warmup: Literal["rhythmic", "uniform"] = "rhythmic"
-    warmup_frames: int = 10_000
+    learning_starts: int = 10_000
     hold: int = 5
     frequency: Sequence[float] = (1.2, 2.4)
-    heirs: float = 0.0
+    mutation_share: float = 0.0
     noise: Sequence[float] | None = (0.05, 0.5)
     noise_time: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.warmup_frames < 0:
-            raise ConfigError(f"warmup_frames must be at least 0, got {self.warmup_frames}.")
+        if self.learning_starts < 0:
+            raise ConfigError(f"learning_starts must be at least 0, got {self.learning_starts}.")
         if self.hold < 1:
             raise ConfigError(f"hold must be at least 1, got {self.hold}.")
         if len(self.frequency) != 2 or not 0 < self.frequency[0] <= self.frequency[1]:
             raise ConfigError(f"frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
-        if not 0.0 <= self.heirs <= 1.0:
-            raise ConfigError(f"heirs must be between 0 and 1, got {self.heirs}.")
+        if not 0.0 <= self.mutation_share <= 1.0:
+            raise ConfigError(f"mutation_share must be between 0 and 1, got {self.mutation_share}.")
         # Actions are clipped to [-1, 1]: noise beyond that is no longer noise on an action.
         if self.noise is not None and (len(self.noise) != 2 or not 0 < self.noise[0] <= self.noise[1] <= 10):
             raise ConfigError(f"noise must be [smallest, largest] > 0 and <= 10, or null, got {list(self.noise)}.")
@@ -86,7 +86,7 @@ class ReplaySettings:
     """Set what is remembered and how it is drawn.
 
     Attributes:
-        capacity: Transitions kept; the oldest leave first.
+        buffer_size: Transitions kept; the oldest leave first.
         batch_size: Transitions drawn for an update.
         n_step: Rewards summed before the bootstrap (Sutton 1988).
         mirror: Reflect half of every batch in the robot's sagittal plane.
@@ -94,18 +94,18 @@ class ReplaySettings:
             TorchRL's buffer, at six times the memory.
     """
 
-    capacity: int = 1_000_000
+    buffer_size: int = 1_000_000
     batch_size: int = 256
     n_step: int = 3
     mirror: bool = True
     storage: Literal["frames", "stacked"] = "frames"
 
     def __post_init__(self) -> None:
-        check_between(self, 1, 10**12, "capacity")
+        check_between(self, 1, 10**12, "buffer_size")
         check_between(self, 1, 10**6, "batch_size")
         check_between(self, 1, 1000, "n_step")
-        if self.batch_size > self.capacity:
-            raise ConfigError(f"batch_size must be at most capacity, got {self.batch_size} and {self.capacity}.")
+        if self.batch_size > self.buffer_size:
+            raise ConfigError(f"batch_size must be at most buffer_size, got {self.batch_size} and {self.buffer_size}.")
 
 
 @dataclass(frozen=True)
@@ -130,24 +130,24 @@ class ProcessSettings:
         workers: Processes, among which env.num_envs robots are divided.
         cpus: Threads of each, for its simulation and its policy; env.threads does not count.
         chunk: Control steps between two messages, as a multiple of steps; updates are multiplied as well.
-        patience: Time after which a worker that delivers nothing counts as hung, and is replaced (s).
+        timeout: Time after which a worker that delivers nothing counts as hung, and is replaced (s).
         start_within: Time that a worker may take to start (s).
-        failures: Failures of a worker in a row, without a batch in between, that are borne; at one more the run ends
-            with a checkpoint.
+        max_restarts: Failures of a worker in a row, without a batch in between, that are borne; at one more the run
+            ends with a checkpoint.
     """
 
     workers: int = 2
     cpus: int = 1
     chunk: int = 4
-    patience: float = 60.0
+    timeout: float = 60.0
     start_within: float = 300.0
-    failures: int = 3
+    max_restarts: int = 3
 
     def __post_init__(self) -> None:
         check_between(self, 1, MOST_WORKERS, "workers", "chunk")
         check_between(self, 1, 1024, "cpus")
-        check_between(self, 0, 10**6, "failures")
-        for name in ("patience", "start_within"):
+        check_between(self, 0, 10**6, "max_restarts")
+        for name in ("timeout", "start_within"):
             value = getattr(self, name)
             if not 0 < value < math.inf:
                 raise ConfigError(f"{name} must be above 0 s, got {value}.")

@@ -150,7 +150,7 @@ class WorkerCollector:
         """What its worker delivers, or the one that takes its place."""
         while True:
             task = slot.task or self._start(slot)
-            limit = self.workers.start_within if slot.worker is None else self.workers.patience
+            limit = self.workers.start_within if slot.worker is None else self.workers.timeout
             try:
                 batch = task.result(limit)
             except concurrent.futures.TimeoutError:
@@ -168,7 +168,7 @@ class WorkerCollector:
         slot.cut()
         slot.failures += 1
         slot.task = None
-        if slot.failures > self.workers.failures:
+        if slot.failures > self.workers.max_restarts:
             raise WorkerError(f"Worker {slot.index} {fault}, and has failed {slot.failures} times in a row")
         self.replaced += 1
         robots = slot.share.stop - slot.share.start

@@ -107,7 +107,7 @@ def make_env(
 
     Args:
         robot: A shipped robot, or the path of an MJCF file.
-        num_envs: Robots.
+        num_envs: Robots that are simulated side by side.
         backend: ``batched`` or ``dm_control``.
         history: Frames stacked into an observation.
         seed: Of the starts.

@@ -33,7 +33,7 @@ class BipedVectorEnv(VectorEnv):
     A robot whose episode ended is reset by the next step, whose action it ignores (Gymnasium's ``NEXT_STEP``).
 
     Args:
-        num_envs: Robots.
+        num_envs: Robots that are simulated side by side.
         robot: A shipped robot, or the path of an MJCF file.
         history: Frames stacked into an observation.
         reward: The reward; the paper's by default.

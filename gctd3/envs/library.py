@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from torchrl.envs import DMControlEnv, EnvBase, GymEnv
 
+from gctd3.compat import replace_wrapped_env, wrapped_env
 from gctd3.envs.library_robots import LibraryRobots, observed
 from gctd3.envs.nodes import STATIC, NodeSensor, simulator
 from gctd3.errors import ConfigError
@@ -128,12 +129,12 @@ def _scale_actions(library: Library, name: str, env: EnvBase) -> None:
     if library == "gymnasium":
         from gymnasium.wrappers import RescaleAction
 
-        env._env = RescaleAction(env._env, np.float32(-1.0), np.float32(1.0))
+        scaled = RescaleAction(wrapped_env(env), np.float32(-1.0), np.float32(1.0))
     else:
         from dm_control.suite.wrappers import action_scale
 
-        env._env = action_scale.Wrapper(env._env, minimum=-1.0, maximum=1.0)
-    env._make_specs(env._env)
+        scaled = action_scale.Wrapper(wrapped_env(env), minimum=-1.0, maximum=1.0)
+    replace_wrapped_env(env, scaled)
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ class _Probe:
 @functools.lru_cache
 def _probe(library: Library, name: str) -> _Probe:
     env = make_robot(library, name)
-    inner = env._env
+    inner = wrapped_env(env)
     dt = inner.control_timestep() if library == "dm_control" else inner.unwrapped.dt
     size = sum(env.observation_spec[key].shape.numel() for key in observed(env))
     model, _ = simulator(env)

@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 
+from gctd3.compat import hide, reset_outcome, step_outcome, wrapped_env
 from gctd3.envs.nodes import NodeSensor, simulator
 from gctd3.envs.robot_state import load_robot_state, robot_state
 from gctd3.envs.robots_env import Glance, RobotsEnv, column, ends
@@ -58,7 +59,7 @@ class LibraryRobots(RobotsEnv):
         super().__init__(n, nodes, 0, robots[0].action_spec.shape[-1])
         self._flat, self._static = own, says
         # Not as a ModuleList: their parameters and states are none of this module's.
-        self.__dict__["robots"], self.__dict__["sensor"] = list(robots), sensor
+        hide(self, robots=list(robots), sensor=sensor)
         self.seen = {"nodes": np.zeros((n, *nodes), np.float32), "position": np.zeros((n, 1), np.float32)}
         self.seen |= {"is_init": np.ones((n, 1), dtype=bool), "step_count": np.zeros((n, 1), dtype=np.int64)}
         # What the nodes sense, whatever is observed of it.
@@ -95,7 +96,7 @@ class LibraryRobots(RobotsEnv):
         self._new_seen()
         for i in np.flatnonzero(mask).tolist():
             robot = self.robots[i]
-            self._see(i, robot._reset_output_transform(robot._env.reset())[0])
+            self._see(i, reset_outcome(robot, wrapped_env(robot).reset())[0])
         self.seen["is_init"][:, 0] = mask
         self.seen["step_count"][mask] = 0
         nobody = np.zeros_like(mask)
@@ -107,7 +108,7 @@ class LibraryRobots(RobotsEnv):
         reward, terminated, truncated = np.zeros(n, np.float32), np.zeros(n, bool), np.zeros(n, bool)
         self._new_seen()
         for i, robot in enumerate(self.robots):
-            outcome = robot._output_transform(robot._env.step(actions[i]))
+            outcome = step_outcome(robot, wrapped_env(robot).step(actions[i]))
             observation, reward[i], terminated[i], truncated[i], *_ = outcome
             self._see(i, observation)
         self.seen["is_init"][:] = False

@@ -8,6 +8,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from gctd3.compat import wrapped_env
+
 INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION.value
 # Of a model; some tasks move or resize these at a reset (targets, lights).
 MOVABLE = ("actuator_", "body_", "cam_", "dof_", "eq_", "geom_", "jnt_", "light_", "site_", "tendon_")
@@ -72,7 +74,7 @@ def _layers(task: Any) -> Iterator[Any]:  # noqa: ANN401
     """What holds the task's memory, from the outside in."""
     if hasattr(task, "physics"):
         # What the suite wraps around a task passes its questions on, and remembers nothing itself.
-        while (inner := getattr(task, "_env", None)) is not None:
+        while (inner := wrapped_env(task)) is not None:
             task = inner
         yield from (task, task.task)
         return

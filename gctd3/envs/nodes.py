@@ -16,6 +16,7 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import CatFrames, Compose, DoubleToFloat, EnvBase, Transform, TransformedEnv
 
+from gctd3.compat import hide, wrapped_env
 from gctd3.errors import ConfigError
 from gctd3.robots.floating_base import Axis
 from gctd3.robots.graph import KinematicGraph
@@ -129,11 +130,10 @@ class Nodes(Transform):
 
     def __init__(self, env: EnvBase, feet: Sequence[str] | None = None, forward: Axis | None = None) -> None:
         super().__init__(in_keys=[], out_keys=["nodes"])
-        self.__dict__["sensor"] = sensor_of(env, feet, forward)
-        self.__dict__["_simulator"] = lambda: simulator(env)
+        hide(self, sensor=sensor_of(env, feet, forward), read_simulator=lambda: simulator(env))
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        nodes = torch.from_numpy(self.sensor.read(*self._simulator()))
+        nodes = torch.from_numpy(self.sensor.read(*self.read_simulator()))
         return next_tensordict.set("nodes", nodes)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
@@ -222,7 +222,7 @@ def simulator(env: EnvBase) -> tuple[mujoco.MjModel, mujoco.MjData]:
         ConfigError: If there is no MuJoCo simulator, or more than one.
     """
     # A transformed environment would pass these questions on.
-    inner: Any = None if isinstance(env, TransformedEnv) else getattr(env, "_env", None)
+    inner: Any = None if isinstance(env, TransformedEnv) else wrapped_env(env)
     if physics := getattr(inner, "physics", None):
         return physics.model.ptr, physics.data.ptr
     inner = getattr(inner, "unwrapped", None)

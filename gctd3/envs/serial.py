@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 
+from gctd3.compat import serial_envs
 from gctd3.envs.robot_state import load_robot_state, robot_state
 
 
@@ -28,7 +29,7 @@ class SerialRobots(SerialEnv):
             load_robot_state(one, robot)
 
     def _robots(self) -> Iterator[EnvBase]:
-        for one in self._envs:
+        for one in serial_envs(self):
             yield one.base_env if isinstance(one, TransformedEnv) else one
 
     def close(self, *, raise_if_closed: bool = True) -> None:

@@ -23,7 +23,7 @@ class EnvSettings:
     Attributes:
         backend: ``batched`` steps all robots at once with MuJoCo; ``dm_control`` one after another with dm_control;
             ``library`` is for tasks of other libraries, which step robots themselves.
-        num_envs: Robots.
+        num_envs: Robots that are simulated side by side.
         threads: Of the batched backend; all cores if ``None``. Results do not depend on it.
         check: Whether every step is checked by :class:`.CheckStep`.
     """

@@ -40,9 +40,9 @@ HARMLESS = (
     "stop_when",
     "collector.workers",
     "collector.cpus",
-    "collector.patience",
+    "collector.timeout",
     "collector.start_within",
-    "collector.failures",
+    "collector.max_restarts",
     "collector.address",
     "resume",
 )

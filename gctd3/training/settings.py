@@ -63,8 +63,8 @@ class TrainSettings:
         total_episodes: Episodes to train at most, counted as they end; ``None`` for any number.
         time_limit: Time after which this session of the run ends with a checkpoint, to be continued (min); ``None``:
             none.
-        steps: Control steps of every robot between updates.
-        updates: Updates after those.
+        rollout_steps: Control steps of every robot between updates.
+        gradient_steps: Updates after those.
         device: Device of networks and replay: cpu, cuda, cuda:1, ...; without a GPU it falls back to the CPU and says
             so. Robots are on the CPU.
         threads: CPU threads of PyTorch; ``None`` for as many as it likes.
@@ -92,8 +92,8 @@ class TrainSettings:
     total_frames: int = 600_000
     total_episodes: int | None = None
     time_limit: float | None = None
-    steps: int = 1
-    updates: int = 4
+    rollout_steps: int = 1
+    gradient_steps: int = 4
     device: str = "cpu"
     threads: int | None = None
     logger: Literal["csv", "tensorboard", "wandb", "mlflow", "none"] = "tensorboard"
@@ -103,8 +103,8 @@ class TrainSettings:
     resume: str | None = None
 
     def __post_init__(self) -> None:
-        check_between(self, 1, 10**12, "total_frames", "updates", "keep_checkpoints")
-        check_between(self, 1, 100_000, "steps")
+        check_between(self, 1, 10**12, "total_frames", "gradient_steps", "keep_checkpoints")
+        check_between(self, 1, 100_000, "rollout_steps")
         if self.total_episodes is not None and self.total_episodes < 1:
             raise ConfigError(f"total_episodes must be at least 1, or null, got {self.total_episodes}.")
         if self.time_limit is not None and not self.time_limit > 0:
@@ -121,7 +121,7 @@ class TrainSettings:
     @property
     def batch_steps(self) -> int:
         """Control steps of every robot that are collected at once."""
-        return self.steps * self.collector.chunk
+        return self.rollout_steps * self.collector.chunk
 
     @property
     def batch_frames(self) -> int:
@@ -131,31 +131,31 @@ class TrainSettings:
     @property
     def batch_updates(self) -> int:
         """Updates after those."""
-        return self.updates * self.collector.chunk
+        return self.gradient_steps * self.collector.chunk
 
     def _check_frames(self) -> None:
         """What the numbers of frames ask of one another."""
         if self.total_frames < self.batch_frames:
-            product = "env.num_envs * steps" + (" * collector.chunk" if self.collector.chunk > 1 else "")
+            product = "env.num_envs * rollout_steps" + (" * collector.chunk" if self.collector.chunk > 1 else "")
             raise ConfigError(
                 f"total_frames must be at least {product} = {self.batch_frames}, got {self.total_frames}."
             )
-        if self.exploration.warmup_frames > self.total_frames:
+        if self.exploration.learning_starts > self.total_frames:
             raise ConfigError(
-                f"exploration.warmup_frames must be at most total_frames = {self.total_frames}, got "
-                f"{self.exploration.warmup_frames}: the training would end before it learns."
+                f"exploration.learning_starts must be at most total_frames = {self.total_frames}, got "
+                f"{self.exploration.learning_starts}: the training would end before it learns."
             )
         # The newest n_step of a robot cannot be drawn yet, the oldest history - 1 no longer.
         least = self.env.num_envs * (self.task.history + self.replay.n_step)
-        if self.replay.storage == "frames" and self.replay.capacity < least:
+        if self.replay.storage == "frames" and self.replay.buffer_size < least:
             raise ConfigError(
-                f"replay.capacity must be at least env.num_envs * (task.history + replay.n_step) = {least}, "
-                f"got {self.replay.capacity}."
+                f"replay.buffer_size must be at least env.num_envs * (task.history + replay.n_step) = {least}, "
+                f"got {self.replay.buffer_size}."
             )
-        drawn = self.replay.capacity // self.env.num_envs - self.replay.n_step - self.task.history + 1
+        drawn = self.replay.buffer_size // self.env.num_envs - self.replay.n_step - self.task.history + 1
         if self.replay.storage == "frames" and drawn * self.env.num_envs < self.replay.batch_size:
             raise ConfigError(
-                f"replay.capacity must hold a batch: of {self.replay.capacity} of {self.env.num_envs} robots "
+                f"replay.buffer_size must hold a batch: of {self.replay.buffer_size} of {self.env.num_envs} robots "
                 f"{drawn * self.env.num_envs} can be drawn, replay.batch_size is {self.replay.batch_size}."
             )
 

@@ -95,7 +95,7 @@ class Trainer:
 
     @property
     def _first_evaluation(self) -> int:
-        return max(self.settings.evaluation.every, self.settings.exploration.warmup_frames)
+        return max(self.settings.evaluation.every, self.settings.exploration.learning_starts)
 
     @property
     def finished(self) -> bool:

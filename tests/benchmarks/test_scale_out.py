@@ -48,7 +48,8 @@ def test_a_rate_leaves_the_first_call_out(scale_out, monkeypatch):
 @pytest.mark.nightly
 def test_a_small_run_measures_and_is_sized_again_from_its_file(scale_out, tmp_path, monkeypatch, capsys):
     few = {
-        key: TINY[key] for key in ("env.num_envs", "threads", "replay.batch_size", "replay.capacity", "network.hidden")
+        key: TINY[key]
+        for key in ("env.num_envs", "threads", "replay.batch_size", "replay.buffer_size", "network.hidden")
     }
     more = "more=" + " ".join(f"{key}={value}" for key, value in few.items())
     file = tmp_path / "scale_out.json"

@@ -70,14 +70,14 @@ def test_both_report_the_same_hyperparameters(recipe, algo):
     noise = None if theirs.action_noise is None else tuple({float(s) for s in theirs.action_noise._sigma})
     pairs = {
         "batch_size": (ours.replay.batch_size, theirs.batch_size),
-        "capacity": (ours.replay.capacity, theirs.replay_buffer.buffer_size),
+        "capacity": (ours.replay.buffer_size, theirs.replay_buffer.buffer_size),
         "gamma": (float(estimator.gamma), theirs.gamma),
         "tau": (1 - algorithm.targets.eps, theirs.tau),
-        "random_steps": (exploration.warmup_frames, theirs.learning_starts),
+        "random_steps": (exploration.learning_starts, theirs.learning_starts),
         "action_noise": (exploration.noise and tuple(set(exploration.noise)), noise),
         "n_steps": (ours.replay.n_step, theirs.n_steps),
         "steps between updates": (ours.steps * ours.env.num_envs, theirs.train_freq.frequency),
-        "updates": (ours.updates, theirs.gradient_steps),
+        "updates": (ours.gradient_steps, theirs.gradient_steps),
     }
     if algo == "td3":
         pairs["policy_delay"] = (ours.algo.policy_delay, theirs.policy_delay)

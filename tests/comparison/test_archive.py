@@ -17,6 +17,7 @@ def numbers(out):
     return {file.name: file.read_bytes() for file in [*out.glob("tables/*.csv"), out / "verdict.txt"]}
 
 
+@pytest.mark.nightly
 def test_a_report_of_kept_runs_has_the_same_numbers(finished, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for algorithm in ("gctd3", "td3"):
@@ -41,6 +42,10 @@ def test_a_report_of_kept_runs_has_the_same_numbers(finished, tmp_path, monkeypa
         ).read_bytes()
     text = (tmp_path / "again" / "index.html").read_text(encoding="utf-8")
     assert text.count("no filmstrip. Of gctd3/") == 1 and "there are numbers only, no policy" in text
+    # Of the runs themselves, with nothing left to evaluate: the same page.
+    assert command("report", "runs=runs", "out=once_more", "threads=1") == 0
+    pages = [(tmp_path / out / "index.html").read_text(encoding="utf-8") for out in ("out", "once_more")]
+    assert pages[0] == pages[1]
 
 
 def test_crashed_and_examined_runs_are_kept_as_such(tmp_path):

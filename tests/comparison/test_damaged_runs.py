@@ -50,7 +50,9 @@ def test_an_empty_progress_and_an_empty_trace_are_of_runs_without(tmp_path):
     assert found.rows == [] and found.trace is None
 
 
-@pytest.mark.parametrize("left", ["", "\n", "\0\0\0\0", None])
+@pytest.mark.parametrize(
+    "left", [*(pytest.param(text, marks=pytest.mark.nightly) for text in ("", "\n")), "\0\0\0\0", None]
+)
 def test_runs_without_a_configuration_are_named_and_the_rest_is_reported(tmp_path, left):
     runs = tmp_path / "runs"
     make(runs, "a0")

@@ -63,7 +63,7 @@ def runs(tmp_path_factory, robot):
         for seed in range(2):
             run = make(root, f"tau={tau},{seed}", 500.0 + seed)
             config = OmegaConf.load(shipped / CONFIG)
-            frames = {"total_frames": 2000, "exploration": {"warmup_frames": 1000}}
+            frames = {"total_frames": 2000, "exploration": {"learning_starts": 1000}}
             OmegaConf.save(OmegaConf.merge(config, frames, {"seed": seed, "algo": {"tau": tau}}), run / CONFIG)
             judged = json.loads((run / "evaluation.json").read_text())
             (run / "evaluation.json").write_text(json.dumps({**judged, "gait": gait(seed)}))

@@ -244,9 +244,6 @@ def test_from_trainings_to_the_page(finished, tmp_path, monkeypatch, capsys):
     with (tmp_path / "out" / "tables" / "table5.csv").open(encoding="utf-8") as file:
         assert [row[0] for row in csv.reader(file)] == ["", "gctd3", "paper, GCTD3", "td3", "paper, TD3"]
     assert "no difference shown" in (tmp_path / "out" / "verdict.txt").read_text(encoding="utf-8")
-    # Again, with nothing left to evaluate: the same page.
-    assert command("report", "runs=runs", "out=again") == 0
-    assert (tmp_path / "again" / "index.html").read_text(encoding="utf-8") == text
 
 
 def test_a_report_on_another_librarys_task(finished, tmp_path, monkeypatch):

@@ -42,10 +42,10 @@ WRONG = {
     "robot.name=hexapd": ["'hexapd'", "Did you mean 'hexapod'?"],
     "robot.feet=[foot_lef]": ["'foot_lef'", "Did you mean 'foot_left'?"],
     "robot.graph=author": ["robot.graph", "Did you mean 'authors'?"],
-    "exploration.warmup_frames=241": ["exploration.warmup_frames must be at most total_frames = 240, got 241"],
+    "exploration.learning_starts=241": ["exploration.learning_starts must be at most total_frames = 240, got 241"],
     "exploration.frequency=[1,26]": ["exploration.frequency", "25 Hz", "[1, 26]"],
     "exploration.noise=[0.1,20]": ["exploration.noise", "<= 10", "[0.1, 20]"],
-    "replay.batch_size=980": ["replay.capacity must hold a batch", "replay.batch_size is 980", "972"],
+    "replay.batch_size=980": ["replay.buffer_size must hold a batch", "replay.batch_size is 980", "972"],
     "reward.terms.swing.least=0.5": ["reward.terms.swing.least", "at most most", "0.5 and 0.36"],
     "network.hidden=[16384,16384]": ["network.hidden", "100,000,000 weights", "268,435,456"],
     "network.hidden=[99999]": ["network.hidden", "16,384", "[99999]"],
@@ -62,7 +62,7 @@ WRONG = {
     "algo.average_policy=often": ["algo.average_policy", "true or false", "'often'"],
     "env.num_envs=-3": ["env.num_envs", "at least 1", "-3"],
     "env.num_envs=0": ["env.num_envs", "at least 1", "0"],
-    "replay.capacity=0": ["replay.capacity", "at least 1", "0"],
+    "replay.buffer_size=0": ["replay.buffer_size", "at least 1", "0"],
     "network.hidden=[64,0]": ["network.hidden", "at least 1", "[64, 0]"],
     "evaluation.episodes=0": ["evaluation.episodes", "at least 1", "0"],
     "total_frames=-1": ["total_frames", "at least", "-1"],
@@ -86,9 +86,9 @@ def test_a_wrong_command_line_is_answered(capsys, tmp_path, arguments):
 
 
 def test_too_little_memory_is_answered(capsys, tmp_path):
-    assert command("train", *tiny(tmp_path / "run", "replay.capacity=1_000_000_000_000")) == 2
+    assert command("train", *tiny(tmp_path / "run", "replay.buffer_size=1_000_000_000_000")) == 2
     error = capsys.readouterr().err
-    assert "Traceback" not in error and "error: Not enough memory" in error and "replay.capacity" in error
+    assert "Traceback" not in error and "error: Not enough memory" in error and "replay.buffer_size" in error
 
 
 @pytest.mark.parametrize("argument", ["algo=ppo", "env.num_envs=0"])

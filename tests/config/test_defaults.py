@@ -76,7 +76,7 @@ def test_defaults_and_meanings_of_a_dataclass():
 
 def test_a_base_says_what_its_fields_mean_unless_its_heir_does():
     settings = {setting.name: setting for setting in settings_of(type(build(composed("collector=ray")).collector))}
-    assert settings["workers"].meaning.startswith("Workers") and settings["patience"].meaning.startswith("Time")
+    assert settings["workers"].meaning.startswith("Workers") and settings["timeout"].meaning.startswith("Time")
     assert (settings["chunk"].default, settings["address"].default) == (8, None)
 
 
@@ -112,7 +112,7 @@ def test_only_what_is_gctd3s_and_below_is_completed():
     complete(config)
     full = OmegaConf.to_container(config)
     assert full["theirs"] == plain["theirs"] and full["hydra"] == {"_target_": "gctd3.Network"}
-    assert full["train"]["algo"]["items"] == [1, 2] and full["train"]["steps"] == 1
+    assert full["train"]["algo"]["items"] == [1, 2] and full["train"]["rollout_steps"] == 1
 
 
 @pytest.mark.parametrize("target", ["gctd3.Networks", "gctd3.nowhere.X", "nowhere.X"])
@@ -125,16 +125,20 @@ def test_a_target_that_is_none_is_named(target):
 
 
 def test_keys_that_no_yaml_holds_are_known():
-    assert build(composed("algo.tau=0.01", "env.start.angle_noise=0", "updates=7")).algo.tau == 0.01
+    settings = build(composed("algo.tau=0.01", "task.randomisations.joint_noise.angle=0", "gradient_steps=7"))
+    noise = settings.task.randomisations["joint_noise"]
+    assert (settings.algo.tau, noise.angle, settings.gradient_steps) == (0.01, 0, 7)
     assert composed("algo=sac", "algo.alpha=0.5")["algo"]["alpha"] == 0.5
     assert composed("collector=process", "collector.workers=3")["collector"]["workers"] == 3
     assert composed("network=mlp", "network.norm=none")["network"]["graph_layers"] == []
     assert composed("++algo.tau=0.01")["algo"]["tau"] == 0.01
     assert build(composed("~algo.tau")).algo.tau == 0.005
-    assert composed("updates=${steps}", "steps=3")["updates"] == 3
+    assert composed("gradient_steps=${rollout_steps}", "rollout_steps=3")["gradient_steps"] == 3
 
 
-@pytest.mark.parametrize("argument", ["algo.tua=0.01", "algo.alpha=0.5", "env.start.angle=0", "update=7"])
+@pytest.mark.parametrize(
+    "argument", ["algo.tua=0.01", "algo.alpha=0.5", "task.randomisations.joint_noise.angel=0", "update=7"]
+)
 def test_keys_that_no_settings_hold_are_refused(argument):
     with pytest.raises(ConfigCompositionException, match="Could not override"):
         composed(argument)
@@ -165,8 +169,8 @@ from omegaconf import OmegaConf
 
 @hydra.main(version_base="1.3", config_path="conf", config_name="main")
 def main(config):
-    network, start = config.network, config.env.start
-    print(f"{network.norm} {network.hidden} {config.algo.alpha} {start.angle_noise} {config.other.norm}\\n", end="")
+    network, start = config.network, config.task.randomisations.joint_noise
+    print(f"{network.norm} {network.hidden} {config.algo.alpha} {start.angle} {config.other.norm}\\n", end="")
     print(OmegaConf.to_yaml(config.own), "torch" in sys.modules)
 
 main()
@@ -174,7 +178,7 @@ main()
 MAIN = """
 defaults:
   - exploration: rhythmic
-  - env: walk
+  - task: walk
   - network: gcn
   - network@other: mlp
   - algo: sac
@@ -207,7 +211,7 @@ def project(tmp_path):
 
 
 def test_another_project_composes_the_same(project):
-    done = project("network.norm=none", "env.start.angle_noise=0.5", "other.norm=none")
+    done = project("network.norm=none", "task.randomisations.joint_noise.angle=0.5", "other.norm=none")
     assert done.returncode == 0, done.stderr
     assert done.stdout == "none [256, 256] 0.2 0.5 none\n_target_: torch.nn.Linear\nin_features: 3\n False\n"
     assert "network.nrom" in project("network.nrom=none").stderr

@@ -88,7 +88,7 @@ def test_the_list_and_the_help_need_nothing_heavy():
     for arguments in ([], ["--help"], *([command, "--help"] for command in COMMANDS)):
         code = (
             f"import sys, runpy; sys.argv[1:] = {arguments}; runpy.run_module('gctd3', run_name='__main__');"
-            "print([name for name in ('torch', 'hydra', 'mujoco') if name in sys.modules])"
+            "print([name for name in ('torch', 'torchrl', 'hydra') if name in sys.modules])"
         )
         done = fresh("-W", "error", "-c", code)
         assert done.returncode == 0 and done.stdout.endswith("[]\n") and done.stderr == "", done.stderr
@@ -97,7 +97,7 @@ def test_the_list_and_the_help_need_nothing_heavy():
 
 def test_the_reference_needs_nothing_heavy():
     code = "import sys; from gctd3.config.reference import reference; reference();"
-    code += "print([name for name in ('torch', 'hydra', 'mujoco', 'omegaconf') if name in sys.modules])"
+    code += "print([name for name in ('torch', 'torchrl', 'hydra', 'omegaconf') if name in sys.modules])"
     assert fresh("-W", "error", "-c", code).stdout == "[]\n"
 
 

@@ -15,6 +15,7 @@ from gctd3.config.fields import defaults_of, describe, find, is_settings, settin
 from gctd3.config.help import COMMANDS, root_of
 from gctd3.config.presets import groups, presets
 from gctd3.data.settings import ExplorationSettings, InlineSettings, ReplaySettings
+from gctd3.errors import ConfigError
 from gctd3.evaluation.settings import Perturbations
 from gctd3.nn.settings import Network
 from gctd3.robots.settings import RobotSettings
@@ -42,12 +43,19 @@ def test_there_is_something_to_test():
     assert {"gctd3", "td3", "ddpg", "sac"} <= set(ALGORITHMS) and {"gcn", "mlp"} <= set(NETWORKS)
 
 
-@pytest.mark.parametrize("group, option", OPTIONS)
+@pytest.mark.parametrize("group, option", [option for option in OPTIONS if option != ("reward", "empty")])
 def test_every_option_builds(group, option):
     assert isinstance(build(composed(f"{group}={option}")), TrainSettings)
 
 
-@pytest.mark.parametrize("option", sorted(file.stem for file in (CONF / "reward").glob("*.yaml")))
+def test_an_empty_reward_is_there_to_be_filled():
+    settings = build(composed("reward=empty", "+reward.terms.alive._target_=gctd3.Living"))
+    assert list(settings.reward.terms) == ["alive"]
+    with pytest.raises(ConfigError, match=r"reward.terms must hold at least one term, got none"):
+        build(composed("reward=empty"))
+
+
+@pytest.mark.parametrize("option", [option for group, option in OPTIONS if group == "reward" and option != "empty"])
 def test_every_reward_can_judge_too(option):
     settings = build(composed(f"reward@evaluation.reward={option}"))
     assert settings.evaluation.reward == build(composed(f"reward={option}")).reward
@@ -131,7 +139,7 @@ def test_presets_are_read_as_yaml_reads_them():
     for (group, name), changes in found.items():
         plain = yaml.safe_load((CONF / group / f"{name}.yaml").read_text(encoding="utf-8"))
         ours = {key: value for key, value in plain.items() if key not in ("defaults", "hydra", "_target_")}
-        assert changes == {key: value for key, value in items(ours) if not isinstance(value, dict)}
+        assert changes == {key: value for key, value in items(ours) if not isinstance(value, dict) or not value}
 
 
 def test_every_key_has_a_comment():

@@ -96,12 +96,13 @@ BAD = {
     "evaluation.reward.terms.height.frames": 0,
     "algo.learning_rate": 0.0, "algo.tau": 1.5, "algo.gamma": 1.0, "algo.policy_delay": 0, "algo.policy_noise": -0.2,
     "network.graph_layers": [0], "network.hidden": [],
-    "exploration.warmup_frames": -1, "exploration.hold": 0, "exploration.frequency": [2.0, 1.0],
-    "exploration.heirs": 1.5,
-    "exploration.noise": [0.0, 0.1], "replay.capacity": 0, "replay.batch_size": 0, "replay.n_step": 0,
+    "exploration.learning_starts": -1, "exploration.hold": 0, "exploration.frequency": [2.0, 1.0],
+    "exploration.mutation_share": 1.5,
+    "exploration.noise": [0.0, 0.1], "replay.buffer_size": 0, "replay.batch_size": 0, "replay.n_step": 0,
     "evaluation.every": 0, "evaluation.episodes": 0, "evaluation.seed": -1, "robot.graph_seed": -1,
     "stop_when.evaluations": 0,
-    "seed": -1, "total_frames": 0, "total_episodes": 0, "steps": 0, "updates": 0, "threads": 0, "keep_checkpoints": 0,
+    "seed": -1, "total_frames": 0, "total_episodes": 0, "rollout_steps": 0, "gradient_steps": 0, "threads": 0,
+    "keep_checkpoints": 0,
 }  # fmt: skip
 
 
@@ -132,11 +133,11 @@ def test_a_metric_that_is_none_is_named_with_those_there_are(default):
 
 
 def test_settings_that_do_not_fit_one_another(default):
-    assert "total_frames must be at least env.num_envs * steps = 640, got 639" in fails(
-        edited(edited(default, "steps", 10), "total_frames", 639)
+    assert "total_frames must be at least env.num_envs * rollout_steps = 640, got 639" in fails(
+        edited(edited(default, "rollout_steps", 10), "total_frames", 639)
     )
-    assert "replay.batch_size must be at most capacity, got 256 and 100" in fails(
-        edited(default, "replay.capacity", 100)
+    assert "replay.batch_size must be at most buffer_size, got 256 and 100" in fails(
+        edited(default, "replay.buffer_size", 100)
     )
 
 

@@ -9,7 +9,7 @@ KNOWN = "Remembered: step, position[6], height[5], feet_down[5]"
 WRONG = {
     # What it is.
     "+reward.terms.x._target_=gctd3.Fal": ["reward.terms.x", "'gctd3.Fal'", "Did you mean 'gctd3.Fall'?"],
-    "+reward.terms.x._target_=nowhere.Fall": ["reward.terms.x", "'nowhere.Fall'", "module 'nowhere' is installed"],
+    "+reward.terms.x._target_=nowhere.Fall": ["reward.terms.x", "'nowhere.Fall'", "No module named 'nowhere'"],
     "+reward.terms.x._target_=gctd3.Fall": ["reward.terms.x must be null or", "_target_ is a RewardTerm, got Fall"],
     "+evaluation.reward.terms.x._target_=gctd3.Fall": ["evaluation.reward.terms.x must", "a RewardTerm, got Fall"],
     "+task.terminations.x._target_=gctd3.Living": ["task.terminations.x must", "is a Termination, got Living"],

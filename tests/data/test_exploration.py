@@ -51,7 +51,7 @@ def still(monkeypatch):
 @pytest.mark.parametrize("warmup", ["rhythmic", "uniform"])
 def test_warm_up_is_counted_in_frames_of_all_robots(robot, actor, warmup, frames, steps):
     # Four robots collect four frames a step: 10 frames take three steps.
-    explore, nodes = explorer(robot, actor, warmup=warmup, warmup_frames=frames, noise=None), torch.randn(4, 8, 10)
+    explore, nodes = explorer(robot, actor, warmup=warmup, learning_starts=frames, noise=None), torch.randn(4, 8, 10)
     expected = actor(TensorDict({"nodes": nodes}, [4]))["action"]
     for t in range(5):
         assert explore.warming_up == (t < steps)
@@ -61,7 +61,7 @@ def test_warm_up_is_counted_in_frames_of_all_robots(robot, actor, warmup, frames
 
 
 def test_uniform_actions_are_held(robot, actor):
-    explore = explorer(robot, actor, robots=500, warmup="uniform", warmup_frames=10**6, hold=3)
+    explore = explorer(robot, actor, robots=500, warmup="uniform", learning_starts=10**6, hold=3)
     actions = [step(explore) for _ in range(9)]
     for t, (before, after) in enumerate(itertools.pairwise(actions), start=1):
         assert torch.equal(before, after) == (t % 3 != 0)
@@ -74,7 +74,7 @@ def test_uniform_actions_are_held(robot, actor):
 
 def test_an_action_written_down_is_not_changed_by_the_next(robot, actor):
     for warmup in ("uniform", "rhythmic"):
-        explore = explorer(robot, actor, warmup=warmup, warmup_frames=10**6, hold=1)
+        explore = explorer(robot, actor, warmup=warmup, learning_starts=10**6, hold=1)
         first = step(explore, is_init=True)
         kept = first.clone()
         step(explore)
@@ -122,7 +122,7 @@ def test_rhythms_are_the_sines_that_they_say(robot, still):
 
 
 def test_only_robots_whose_episode_begins_draw_a_new_gait(robot, actor, still):
-    explore = explorer(robot, actor, warmup_frames=10**6)
+    explore = explorer(robot, actor, learning_starts=10**6)
     step(explore, is_init=True)
     names = ("offset", "amplitude", "phase", "frequency", "cycles")
     before = {name: getattr(explore.rhythm, name).clone() for name in names}
@@ -137,7 +137,7 @@ def test_only_robots_whose_episode_begins_draw_a_new_gait(robot, actor, still):
 
 def evolving(robot, robots=64):
     torch.manual_seed(0)
-    rhythm = Rhythm(robot, robots, (1.2, 2.4), DT, heirs=1.0)
+    rhythm = Rhythm(robot, robots, (1.2, 2.4), DT, mutation_share=1.0)
     everyone, nobody = torch.ones(robots, dtype=torch.bool), torch.zeros(robots, dtype=torch.bool)
     rhythm(everyone, torch.zeros(robots))
     return rhythm, everyone, nobody
@@ -202,7 +202,7 @@ def test_noise_on_the_rhythm(robot, monkeypatch):
 
 def test_noise_is_spread_geometrically_over_the_robots(robot, actor):
     # 0.05 to 0.4 over four robots: each twice the one before.
-    explore = explorer(robot, actor, warmup_frames=0, noise=(0.05, 0.4))
+    explore = explorer(robot, actor, learning_starts=0, noise=(0.05, 0.4))
     torch.testing.assert_close(explore.sigma.flatten(), torch.tensor([0.05, 0.1, 0.2, 0.4]))
     for parameter in actor.parameters():
         torch.nn.init.zeros_(parameter)  # acts with zeros, so that only noise is seen
@@ -215,7 +215,7 @@ def test_noise_is_spread_geometrically_over_the_robots(robot, actor):
 def test_the_noise_of_every_second_robot_wanders(robot, actor):
     for parameter in actor.parameters():
         torch.nn.init.zeros_(parameter)
-    explore = explorer(robot, actor, warmup_frames=0, noise=(0.1, 0.1), noise_time=0.1)
+    explore = explorer(robot, actor, learning_starts=0, noise=(0.1, 0.1), noise_time=0.1)
     actions = torch.stack([step(explore) for _ in range(4000)])
     torch.testing.assert_close(actions.std(dim=(0, 2)), torch.full((4,), 0.1), rtol=0.05, atol=0.0)
     following = (actions[1:] * actions[:-1]).mean(dim=(0, 2)) / 0.01
@@ -233,19 +233,19 @@ def test_one_robot_gets_the_smallest_noise(robot, actor):
 def test_noise_leaves_the_actors_action_in_range(robot, actor):
     for parameter in actor.parameters():
         torch.nn.init.constant_(parameter, 1.0)
-    action = step(explorer(robot, actor, warmup_frames=0), torch.ones(4, 8, 10))
+    action = step(explorer(robot, actor, learning_starts=0), torch.ones(4, 8, 10))
     assert ((action > 0.0) & (action <= 1.0)).all()
 
 
 def test_without_noise_the_action_is_the_actors(robot, actor):
     nodes = torch.randn(4, 8, 10)
-    action = step(explorer(robot, actor, warmup_frames=0, noise=None), nodes)
+    action = step(explorer(robot, actor, learning_starts=0, noise=None), nodes)
     assert torch.equal(action, actor(TensorDict({"nodes": nodes}, [4]))["action"])
 
 
 def test_a_policy_that_is_random_by_itself_is_drawn_from(robot, graph):
     actor = make_stochastic_actor(graph)
-    explore, nodes = explorer(robot, actor, robots=500, warmup_frames=0, noise=None), torch.randn(8, 10)
+    explore, nodes = explorer(robot, actor, robots=500, learning_starts=0, noise=None), torch.randn(8, 10)
     seen = actor(TensorDict({"nodes": nodes[None]}, [1]))
     action = step(explore, nodes.expand(500, 8, 10))
     # 500 draws before the tanh: of the distribution's mean and deviation, to some standard errors.
@@ -257,7 +257,7 @@ def test_a_policy_that_is_random_by_itself_is_drawn_from(robot, graph):
 
 def test_it_is_the_live_actor_that_acts(robot, task, actor):
     """Also in a collector, which could have copied it."""
-    explore = explorer(robot, actor, warmup_frames=0, noise=None)
+    explore = explorer(robot, actor, learning_starts=0, noise=None)
     env = env_of(task)
     collector = Collector(env, explore, frames_per_batch=4, total_frames=12)
     for collected in collector:
@@ -273,14 +273,14 @@ def test_it_is_the_live_actor_that_acts(robot, task, actor):
 @pytest.mark.parametrize(
     "key, value",
     [
-        ("warmup_frames", -1),
+        ("learning_starts", -1),
         ("hold", 0),
         ("frequency", (0.0, 1.0)),
         ("frequency", (2.0, 1.0)),
         ("frequency", (1.0,)),
         ("noise_time", -0.1),
-        ("heirs", -0.1),
-        ("heirs", 1.1),
+        ("mutation_share", -0.1),
+        ("mutation_share", 1.1),
         ("noise", (0.0, 0.1)),
         ("noise", (0.2, 0.1)),
         ("noise", (0.1, 0.2, 0.3)),

@@ -47,7 +47,7 @@ class Struck(Recorded):
 def test_workers_that_die_or_hang_are_replaced_and_the_training_ends_well(tmp_path, capsys):
     # Its robots begin to walk at once, so that most of the time is the processes' start.
     run = tmp_path / "run"
-    assert command("train", *tiny(run, *PROCESS, "collector.patience=10"), trainer=Struck) == 0
+    assert command("train", *tiny(run, *PROCESS, "collector.timeout=10"), trainer=Struck) == 0
     error = capsys.readouterr().err
     assert "Worker 0 failed (At least one process failed: worker 0 (exit code -9)" in error
     assert "Worker 1 has delivered nothing for 10 s: another takes its place, and its 2 robots start anew." in error

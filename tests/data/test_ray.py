@@ -147,7 +147,7 @@ train.main()
 @pytest.mark.nightly
 def test_a_cluster_starts_by_itself_and_its_workers_are_replaced(tmp_path):
     run = tmp_path / "run"
-    code = STRIKING.format(arguments=tiny(run, *RAY, "collector.patience=10"))
+    code = STRIKING.format(arguments=tiny(run, *RAY, "collector.timeout=10"))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "Worker 0 failed" in done.stderr and "Worker 1 has delivered nothing for 10 s" in done.stderr
@@ -165,7 +165,7 @@ def test_a_running_cluster_is_joined_and_its_end_leaves_a_checkpoint(tmp_path, h
     run = tmp_path / "run"
     long = tiny(run, *RAY, "total_frames=400_000", "evaluation.every=400_000", "checkpoint_every=0.5")
     joined = subprocess.Popen(
-        [sys.executable, "-m", "gctd3.train", *long, f"collector.address={address}", "collector.failures=1"],
+        [sys.executable, "-m", "gctd3.train", *long, f"collector.address={address}", "collector.max_restarts=1"],
         stderr=subprocess.PIPE,
         text=True,
     )

@@ -50,7 +50,7 @@ def episodes(terminated, truncated):
 
 def filled(storage, collected, sizes, n_step, capacity=1000, history=1, gamma=GAMMA):
     """A replay that got the collected steps in chunks of the given sizes."""
-    settings = ReplaySettings(capacity=capacity, batch_size=1, n_step=n_step, mirror=False, storage=storage)
+    settings = ReplaySettings(buffer_size=capacity, batch_size=1, n_step=n_step, mirror=False, storage=storage)
     replay = Replay(settings, gamma, history)
     for chunk in collected.split(list(sizes), dim=1):
         replay.extend(chunk.clone())
@@ -141,8 +141,8 @@ def test_a_collector_may_deliver_one_step_at_a_time(robot, graph, storage):
     def collect(steps):
         torch.manual_seed(0)
         env = env_of(walking(robot, time_limit=9))
-        explorer = Explorer(make_actor(graph), robot, 4, ExplorationSettings(warmup_frames=40))
-        settings = ReplaySettings(capacity=1000, batch_size=4, n_step=3, mirror=False, storage=storage)
+        explorer = Explorer(make_actor(graph), robot, 4, ExplorationSettings(learning_starts=40))
+        settings = ReplaySettings(buffer_size=1000, batch_size=4, n_step=3, mirror=False, storage=storage)
         replay = Replay(settings, 0.9, history=5)
         collector = Collector(env, explorer, frames_per_batch=4 * steps, total_frames=4 * 24)
         for collected in collector:
@@ -180,7 +180,7 @@ def test_the_oldest_leave_first(storage, newest):
 
 @pytest.mark.parametrize("storage", STORAGES)
 def test_batches_have_their_size_as_soon_as_there_is_enough(storage):
-    replay = Replay(ReplaySettings(capacity=50, batch_size=6, n_step=1, mirror=False, storage=storage), GAMMA, 1)
+    replay = Replay(ReplaySettings(buffer_size=50, batch_size=6, n_step=1, mirror=False, storage=storage), GAMMA, 1)
     steps = episodes(flags(2, 5), flags(2, 5))
     ready = []
     for t in range(5):
@@ -290,7 +290,7 @@ def test_only_the_second_half_of_a_batch_is_mirrored(biped, size):
 
 def test_sampling_mirrors_copies_and_not_what_is_remembered(biped):
     mirror, seen = mirror_of(biped), transitions(1)
-    settings = ReplaySettings(capacity=10, batch_size=4, n_step=1, mirror=True, storage="stacked")
+    settings = ReplaySettings(buffer_size=10, batch_size=4, n_step=1, mirror=True, storage="stacked")
     replay = Replay(settings, GAMMA, HISTORY, mirror)
     replay.extend(seen[:, None])
     for _ in range(3):

@@ -98,7 +98,11 @@ def test_all_robots_are_there_and_go_on_from_batch_to_batch(collector):
     # The explorer that does not act counts what was delivered: the warm-up's length does not depend on who collects.
     assert int(collect.explorer.frames) == 8 * ROBOTS * STEPS
     settings = collect.settings
-    assert settings.batch_updates / settings.batch_steps == settings.updates / settings.steps == TINY["updates"]
+    assert (
+        settings.batch_updates / settings.batch_steps
+        == settings.gradient_steps / settings.rollout_steps
+        == TINY["gradient_steps"]
+    )
 
 
 @pytest.mark.parametrize(("workers", "robots"), [(1, 1), (2, 5), (3, 64), (7, 7)])
@@ -118,7 +122,7 @@ def test_noise_is_spread_over_the_robots_of_all_workers(collector):
         assert torch.equal(parts, getattr(collect.explorer, name))
     # 0.05 to 0.5 geometrically.
     torch.testing.assert_close(collect.explorer.sigma[:, 0].log10().diff(), torch.full((ROBOTS - 1,), 1 / (ROBOTS - 1)))
-    assert first.settings.warmup_frames == TINY["exploration.warmup_frames"] and first.num_robots == ROBOTS
+    assert first.settings.learning_starts == TINY["exploration.learning_starts"] and first.num_robots == ROBOTS
 
 
 def test_every_worker_has_a_seed_of_its_own_and_so_has_who_replaces_it(collector):
@@ -135,7 +139,7 @@ def test_every_worker_has_a_seed_of_its_own_and_so_has_who_replaces_it(collector
 
 def test_batches_are_collected_with_the_weights_of_their_moment(collector):
     """Once warmed up and without noise, an action is what the actor gave with the weights that it had been sent."""
-    collect = collector("exploration.warmup_frames=0", "exploration.noise=null")
+    collect = collector("exploration.learning_starts=0", "exploration.noise=null")
     actor, given = collect.explorer.actor, []
 
     def acted_with(weights, batch):
@@ -159,7 +163,7 @@ def test_batches_are_collected_with_the_weights_of_their_moment(collector):
 def test_a_worker_that_fails_is_replaced_and_nothing_else_changes(collector, capsys, fault):
     Near.faults = {(0, 3): fault}
     # The first to begin is not always the first worker.
-    collect = collector("collector.patience=1")
+    collect = collector("collector.timeout=1")
     batches = [collect.collect() for _ in range(6)]
     failed, other = Near.made[0].share, next(job.share for job in Near.made if job.share != Near.made[0].share)
     assert collect.replaced == 1 and len(Near.made) == 3 and Near.made[2].share == failed
@@ -178,7 +182,7 @@ def test_a_worker_that_fails_is_replaced_and_nothing_else_changes(collector, cap
 
 def test_a_worker_that_never_lasts_is_given_up(collector, capsys):
     Near.faults = {(number, 1): breaks for number in range(20)}
-    collect = collector("collector.failures=2")
+    collect = collector("collector.max_restarts=2")
     with pytest.raises(WorkerError, match=r"The worker's node is gone.*has failed 3 times in a row"):
         collect.collect()
     assert capsys.readouterr().err.count("another takes its place") == 2
@@ -189,7 +193,7 @@ def test_a_worker_that_never_lasts_is_given_up(collector, capsys):
 
 def test_failures_between_deliveries_do_not_add_up(collector):
     Near.faults = {(0, 2): breaks, (2, 2): breaks, (3, 2): breaks}
-    collect = collector("collector.failures=1")
+    collect = collector("collector.max_restarts=1")
     for _ in range(8):
         collect.collect()
     assert collect.replaced == 3

@@ -1,6 +1,7 @@
 """Robots of other libraries' tasks beside the same put together of TorchRL's own parts."""
 
 import importlib
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -41,8 +42,14 @@ def follow(env, actions):
     return seen
 
 
-@pytest.mark.parametrize("library, name, steps", TASKS)
-@pytest.mark.parametrize("options", [{}, {"static": True}, {"observation": "flat", "history": 1}])
+OPTIONS = [{}, {"static": True}, {"observation": "flat", "history": 1}]
+CASES = [
+    pytest.param(*task, options, marks=[pytest.mark.nightly] if options and task[2] > 1000 else [])
+    for task, options in product(TASKS, OPTIONS)
+]
+
+
+@pytest.mark.parametrize("library, name, steps, options", CASES)
 def test_equal_torchrls_own_parts(stock, library, name, steps, options):
     settings = LibrarySettings(library=library, name=name, **options)
     env, theirs = library_env(library, name, num_envs=2, **options), stock(settings, 2)

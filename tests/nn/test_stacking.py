@@ -2,6 +2,7 @@
 
 import copy
 
+import numpy as np
 import pytest
 import torch
 from networks import NETWORKS, SIZES, randomised
@@ -12,13 +13,15 @@ from torch import nn
 from gctd3.nn import Critic, GraphConv, Network, make_actor, make_critic
 from gctd3.nn.layers import Linear
 from gctd3.nn.stacking import obstacles
+from gctd3.tasks.features import FeatureTable, paper_features
 from gctd3.tasks.reflection import Reflection
 
 
 @pytest.mark.parametrize("batch", [(5,), (2,), (4, 8), (2, 2), ()], ids=str)
 @pytest.mark.parametrize("name", NETWORKS)
 def test_a_stack_of_every_network_gives_what_each_gives_alone(robot, graph, name, batch):
-    reflection, (features, actions) = Reflection.from_robot(robot, 2), SIZES
+    table, feet = FeatureTable(paper_features(), robot, graph), (np.array([1, 0]), np.ones(2))
+    reflection, (features, actions) = Reflection.of(robot, table, [feet, feet], static=2), SIZES
     critics = [
         randomised(make_critic(graph, features, actions, NETWORKS[name], 4, reflection)).double() for _ in range(2)
     ]

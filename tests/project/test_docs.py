@@ -44,7 +44,7 @@ def test_readme_links_lead_somewhere():
         assert (ROOT / link).exists(), link
 
 
-@pytest.mark.parametrize("module", ["gctd3.robots.graph", "gctd3.nn.actor", "gctd3.envs.factory"])
+@pytest.mark.parametrize("module", ["gctd3.robots.graph", "gctd3.nn.factories", "gctd3.envs.factory"])
 def test_docstring_examples(module):
     result = doctest.testmod(importlib.import_module(module))
     assert result.attempted > 0

@@ -91,7 +91,7 @@ def test_transfer(tmp_path, monkeypatch):
 @pytest.mark.nightly
 def test_tune_goes_on_where_it_stopped(tmp_path):
     pytest.importorskip("optuna", minversion="4")
-    settings = [f"{key}={value}" for key, value in TINY.items() if key not in ("total_frames", "updates")]
+    settings = [f"{key}={value}" for key, value in TINY.items() if key not in ("total_frames", "gradient_steps")]
     few = ["--frames", "240", "--out", str(tmp_path / "out"), *settings]
     tune = importlib.import_module("tune").main
     first = tune(["--trials", "1", *few])

@@ -12,14 +12,6 @@ import gctd3
 
 ROOT = Path(gctd3.__file__).parent
 ALLOWED = {"compat.py", "nn/kernels.py"}
-# Still to use gctd3.compat.
-EXCEPTED = {
-    "envs/checkpointing.py",
-    "envs/library.py",
-    "envs/library_robots.py",
-    "envs/mujoco_state.py",
-    "envs/nodes.py",
-}
 # What TorchRL documents as the methods that a subclass writes.
 WRITTEN = {"_reset", "_step", "_set_seed", "_call", "_inv_call", "_apply_transform"}
 
@@ -89,13 +81,13 @@ def used():
 
 
 def test_no_private_name_of_another_library():
-    found = {name: names for name, names in used().items() if names and name not in ALLOWED | EXCEPTED}
+    found = {name: names for name, names in used().items() if names and name not in ALLOWED}
     assert not found, f"belongs into gctd3/compat.py: {found}"
 
 
 def test_the_exceptions_are_needed():
     found = used()
-    assert {name for name in ALLOWED | EXCEPTED if found[name]} == ALLOWED | EXCEPTED
+    assert {name for name in ALLOWED if found[name]} == ALLOWED
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def test_a_signal_finishes_the_step_and_says_how_to_go_on(tmp_path, number, code
 def test_a_second_signal_leaves_at_once(tmp_path):
     run = tmp_path / "run"
     # Steps of minutes, so that the first signal alone would not end it soon.
-    running = start(run, *LONG, "updates=100_000")
+    running = start(run, *LONG, "gradient_steps=100_000")
     wait_for(lambda: (run / ".hydra" / "config.yaml").exists())
     time.sleep(2.0)
     running.send_signal(signal.SIGINT)
@@ -228,8 +228,8 @@ def test_a_full_disk_says_so_and_leaves_the_last_checkpoint(tmp_path):
         pytest.skip("tmpfs cannot be mounted here")
     try:
         run = disk / "run"
-        many = ["env.num_envs=64", "total_frames=100_000", "evaluation.every=100_000", "replay.capacity=100_000"]
-        done = process("train", *tiny(run, *many, "updates=1", "checkpoint_every=0.1"))
+        many = ["env.num_envs=64", "total_frames=100_000", "evaluation.every=100_000", "replay.buffer_size=100_000"]
+        done = process("train", *tiny(run, *many, "gradient_steps=1", "checkpoint_every=0.1"))
         assert done.returncode == 2
         assert "Traceback" not in done.stderr
         assert "No space left on device" in done.stderr

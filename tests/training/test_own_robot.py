@@ -51,16 +51,6 @@ def test_options_stand_anywhere_among_the_settings(tmp_path, way):
     assert (resumed.task, resumed.env) == (settings.task, settings.env)
 
 
-@pytest.mark.parametrize("way", WAYS[1:])
-def test_options_are_known_whatever_names_their_folder(tmp_path, way):
-    words = way.format(tmp_path).split(" ")
-    assert answered("train", "algo=td3", *words, *tiny(tmp_path / "run", "robot=mine")) == 0
-    endings = load_settings(tmp_path / "run").env.endings
-    assert (endings.contact_steps, endings.fall_height, endings.finish) == (None, -0.2, 15.0)
-    (tmp_path / "own").rename(tmp_path / "gone")
-    assert answered("train", f"resume={tmp_path / 'run'}", "total_frames=400") == 0
-
-
 def test_another_robots_settings(tmp_path):
     assert answered("train", *tiny(tmp_path / "run", "robot=quadruped", "robot.name=robot.xml")) == 0
     settings = load_settings(tmp_path / "run")

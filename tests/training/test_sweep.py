@@ -60,7 +60,15 @@ def test_ready_sweeps_are_fair(experiment):
     found = [build(config) for _, config in jobs(experiment)]
     assert len(found) == len(SEEDS) * READY[experiment] and params(experiment)["seed"] == "range(5)"
     # Equal frames, equal updates, and nothing ends them early.
-    assert len({(s.total_frames, s.steps, s.updates, s.env.num_envs, s.exploration.warmup_frames) for s in found}) == 1
+    assert (
+        len(
+            {
+                (s.total_frames, s.rollout_steps, s.gradient_steps, s.env.num_envs, s.exploration.learning_starts)
+                for s in found
+            }
+        )
+        == 1
+    )
     assert all(s.stop_when.evaluations is None and s.total_episodes is None for s in found)
 
 

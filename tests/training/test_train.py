@@ -205,8 +205,8 @@ TABLE_4 = {
     "algo.gamma": 0.99,
     # One robot, one update a step; nothing that the paper does not have.
     "env.num_envs": 1,
-    "steps": 1,
-    "updates": 1,
+    "rollout_steps": 1,
+    "gradient_steps": 1,
     "task.history": 5,
     "task.control_dt": 0.02,
     "task.terminations.finish.distance": 15.0,
@@ -232,7 +232,7 @@ def test_the_papers_experiment_is_table_4(tmp_path):
     assert settings.total_frames >= settings.total_episodes * settings.task.terminations["time_limit"].steps
     assert settings.stop_when.evaluations is None
 
-    ours = ["env.num_envs", "updates", "network.hidden", "total_frames"]
-    few = ["exploration.warmup_frames=20", "evaluation.every=10_000", "total_episodes=3"]
+    ours = ["env.num_envs", "gradient_steps", "network.hidden", "total_frames"]
+    few = ["exploration.learning_starts=20", "evaluation.every=10_000", "total_episodes=3"]
     (row,) = rows(train(tmp_path / "run", "experiment=paper", *few, without=ours))
     assert 0 <= int(row["updates"]) - (int(row["frames"]) - 20) <= 2  # one a step, past the warm-up
