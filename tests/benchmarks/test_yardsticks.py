@@ -76,7 +76,7 @@ def test_both_report_the_same_hyperparameters(recipe, algo):
         "random_steps": (exploration.learning_starts, theirs.learning_starts),
         "action_noise": (exploration.noise and tuple(set(exploration.noise)), noise),
         "n_steps": (ours.replay.n_step, theirs.n_steps),
-        "steps between updates": (ours.steps * ours.env.num_envs, theirs.train_freq.frequency),
+        "steps between updates": (ours.rollout_steps * ours.env.num_envs, theirs.train_freq.frequency),
         "updates": (ours.gradient_steps, theirs.gradient_steps),
     }
     if algo == "td3":

@@ -274,7 +274,7 @@ def test_more_workers_than_robots_are_refused():
     assert dataclasses.replace(settings.collector, workers=5).check_here(ROBOTS) is None
 
 
-@pytest.mark.parametrize("key", ["workers", "cpus", "chunk", "patience", "start_within"])
+@pytest.mark.parametrize("key", ["workers", "cpus", "chunk", "timeout", "start_within"])
 def test_settings_out_of_range(key):
     with pytest.raises(ConfigError, match=rf"collector.{key} must be .* got 0"):
         tiny_settings(f"collector.{key}=0")
