@@ -190,7 +190,9 @@ def test_batches_have_their_size_as_soon_as_there_is_enough(storage):
     assert replay.sample().batch_size == (6,)
 
 
-@pytest.mark.parametrize("key, value", [("buffer_size", 0), ("batch_size", 0), ("n_step", 0), ("batch_size", 2_000_000)])
+@pytest.mark.parametrize(
+    "key, value", [("buffer_size", 0), ("batch_size", 0), ("n_step", 0), ("batch_size", 2_000_000)]
+)
 def test_settings_out_of_range(key, value):
     with pytest.raises(ConfigError, match=rf"^{key} must .*{value}"):
         ReplaySettings(**{key: value})
