@@ -9,13 +9,18 @@ import subprocess
 import sys
 import uuid
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import torch
+from array_api_compat import array_namespace
 from fuzzing import answered
 from robots import TWO_LEGS
 from running import TINY, command, train
 
 from gctd3.config.help import COMMANDS
+from gctd3.training.saved_configuration import load_settings
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -28,13 +33,29 @@ PARTS = sorted({part.strip() for line in SHELL.splitlines() for part in line.spl
 def test_readme_python_runs(exported, monkeypatch):
     monkeypatch.chdir(exported.parent)
     blocks = re.findall(r"^```python\n(.*?)^```", README, flags=re.M | re.S)
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     names: dict[str, object] = {}
     for block in blocks:
         exec(block, names)
     assert names["rollout"].batch_size == (64, 100)
     assert names["envs"].num_envs == 64
     assert list(names["command"]) == list(names["policy"].command) and len(names["command"]) == 6
+
+
+@pytest.mark.parametrize("backend", ["batched", "dm_control"])
+def test_readmes_reward_term_is_trained_with(backend, tmp_path, monkeypatch):
+    text = next(text for language, text in BLOCKS if language == "python" and "class Hurry" in text)
+    (tmp_path / "my_package.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(sys.modules, "my_package", importlib.import_module("my_package"))
+    keys = re.findall(r"`(\+reward[^`]*)`", README)
+    assert len(keys) == 2
+    train(tmp_path / "run", f"env.backend={backend}", *keys)
+    term = load_settings(tmp_path / "run").reward.terms["hurry"]
+    assert (type(term).__name__, term.weight, term.above) == ("Hurry", 0.5, 0.8)
+    for xp in (np, torch):
+        step = SimpleNamespace(xp=array_namespace(xp.zeros(1)), now=SimpleNamespace(velocity=xp.linspace(0.0, 1.8, 3)))
+        np.testing.assert_allclose(np.asarray(term(step)), [0.0, 0.05, 0.5], rtol=1e-6)
 
 
 def test_readme_links_lead_somewhere():
