@@ -11,6 +11,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from traceback import walk_tb
 from typing import NoReturn
 
 import hydra
@@ -59,8 +60,8 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
     except _USER_ERRORS as error:
         fail(explain(error, config))
     except (AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
-        # Hydra's own, of a group given a value that is no option; what the task raises is not for here.
-        if GlobalHydra.instance().is_initialized():
+        # Hydra's own, of a group given a value that is no option; a fault of the task itself keeps its traceback.
+        if _raised_by_the_task(error):
             raise
         fail(f"The arguments cannot be combined: {error or type(error).__name__}")
     except RuntimeError as error:
@@ -68,6 +69,11 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
         if plugin is None:
             raise
         fail(f"hydra/launcher={plugin[1]} needs its package: pip install 'gctd3[{plugin[1]}]'.")
+
+
+def _raised_by_the_task(error: Exception) -> bool:
+    """Tell whether the task had begun: Hydra runs it in ``run_job``, and raises here what a launcher's job returned."""
+    return any(frame.f_code.co_name in ("run_job", "return_value") for frame, _ in walk_tb(error.__traceback__))
 
 
 def _together(arguments: list[str]) -> list[str]:

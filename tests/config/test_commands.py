@@ -224,3 +224,15 @@ def test_a_run_that_is_not_there_is_answered(capsys, tmp_path, name):
 )
 def test_a_wrong_setting_of_the_other_commands_is_answered(capsys, run, name, argument, said):
     assert said in answer(capsys, name, f"run={run}", argument)
+
+
+class Faulty:
+    def __init__(self, *arguments):
+        raise LookupError("a fault of the program")
+
+
+@pytest.mark.parametrize("sweep", [[], ["-m", "seed=1"]], ids=len)
+def test_a_fault_of_the_program_keeps_its_traceback(sweep, tmp_path, capsys):
+    with pytest.raises(LookupError, match="a fault of the program"):
+        command("train", *sweep, *tiny(tmp_path / "run", f"hydra.sweep.dir={tmp_path}"), trainer=Faulty)
+    assert "cannot be combined" not in capsys.readouterr().err
