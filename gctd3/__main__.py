@@ -1,4 +1,4 @@
-"""``python -m gctd3``: what commands there are; ``python -m gctd3 train ...`` is ``python -m gctd3.train ...``."""
+"""``python -m gctd3`` lists the commands; ``python -m gctd3 train ...`` is ``python -m gctd3.train ...``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gctd3.errors import suggest
 
 
 def run(command: str) -> None:
-    """Run a command on the command line; ``--help`` is answered without the packages that the command needs."""
+    """Run a command with the command line's arguments; ``--help`` works without the packages that the command needs."""
     check_installed()
     if asks_for_help():
         print(help_of(command))
@@ -20,12 +20,12 @@ def run(command: str) -> None:
 
 
 def script() -> None:
-    """Entry point of the scripts ``gctd3-train`` and so on: the command is in their name."""
+    """Run the command in the name of the script, as entry point of ``gctd3-train`` and so on."""
     run(Path(sys.argv[0]).name.removesuffix(".exe").removesuffix("-script.py").removeprefix("gctd3-"))
 
 
 def main() -> None:
-    """Entry point of ``python -m gctd3`` and of the script ``gctd3``."""
+    """Run a command or list all, as entry point of ``python -m gctd3`` and of the script ``gctd3``."""
     check_installed()
     command = sys.argv[1] if len(sys.argv) > 1 else HELP[0]
     if command in HELP:

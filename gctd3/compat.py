@@ -18,16 +18,16 @@ OMEGACONF, HYDRA = "omegaconf 2.3.1", "hydra-core 1.3.8"
 
 
 class CompatError(GCTD3Error, RuntimeError):
-    """Another library no longer has a private name that gctd3 uses."""
+    """Report that another library no longer has a private name that gctd3 uses."""
 
 
 def read(owner: object, name: str, seen: str) -> Any:  # noqa: ANN401
     """Read an attribute with a private name.
 
     Args:
-        owner: Whose it is.
+        owner: The object or class that has the attribute.
         name: The private name.
-        seen: Library and version that have it.
+        seen: Library and version that have the name.
 
     Raises:
         CompatError: If ``owner`` has no such attribute.
@@ -43,7 +43,7 @@ def read(owner: object, name: str, seen: str) -> Any:  # noqa: ANN401
 
 
 def _need_behind(cls: type, mixin: type, name: str, seen: str) -> None:
-    """Raise a :class:`CompatError` if what stands behind a mixin among the bases of a class lacks what it overrides."""
+    """Raise a :class:`CompatError` if the bases behind a mixin of a class lack the name that the mixin overrides."""
     behind = cls.__mro__[cls.__mro__.index(mixin) + 1 :]
     if behind != (object,) and not any(hasattr(base, name) for base in behind):
         read(behind[0], name, seen)
@@ -137,7 +137,7 @@ def replace_sac_critics(loss: Any, function: Callable[..., Any]) -> None:  # noq
 
 
 def update_pairs(updater: Any) -> tuple[Any, Any]:  # noqa: ANN401
-    """Read the targets of a target updater and what they follow, two TensorDicts with the same order of keys.
+    """Read the targets of a target updater and their sources, two TensorDicts with the same order of keys.
 
     Private: ``TargetNetUpdater._targets`` and ``._sources`` (torchrl 0.14.1).
     """
@@ -156,13 +156,13 @@ def waiting_steps(transform: Any) -> Any:  # noqa: ANN401
 
 
 def set_waiting_steps(transform: Any, steps: Any) -> None:  # noqa: ANN401
-    """Set what :func:`waiting_steps` gives."""
+    """Set the steps that :func:`waiting_steps` reads."""
     read(transform, "_buffer", TORCHRL)
     transform._buffer = steps
 
 
 class AnswerHook:
-    """Give TorchRL's way to send weights a hook for the wait; stands before ``SharedMemWeightSyncScheme``.
+    """Give TorchRL's weight synchronisation a hook for the wait; stands before ``SharedMemWeightSyncScheme``.
 
     Private: ``SharedMemWeightSyncScheme._wait_for_ack`` and ``._ack_queues`` (torchrl 0.14.1).
 
@@ -175,7 +175,7 @@ class AnswerHook:
         _need_behind(cls, AnswerHook, "_wait_for_ack", TORCHRL)
 
     def await_answer(self, answers: Any) -> None:  # noqa: ANN401
-        """Wait for one worker to say in the queue ``answers`` that it has the weights."""
+        """Wait for one worker to report in the queue ``answers`` that it has the weights."""
         raise NotImplementedError
 
     def _wait_for_ack(self, worker_ids: int | list[int] | None = None, timeout: float | None = None) -> None:
@@ -187,10 +187,10 @@ class AnswerHook:
 
 
 def wrapped_env(env: Any) -> Any:  # noqa: ANN401
-    """Read the other library's environment inside a TorchRL wrapper; ``None`` where there is none.
+    """Read the other library's environment inside a TorchRL wrapper; ``None`` if ``env`` wraps no environment.
 
-    Private: ``_env`` of ``torchrl.envs.GymEnv`` and ``DMControlEnv`` (torchrl 0.14.1); of dm_control's wrappers of
-    environments and Gymnasium's the same.
+    Private: ``_env`` of ``torchrl.envs.GymEnv`` and ``DMControlEnv`` (torchrl 0.14.1), and the same attribute of
+    dm_control's and Gymnasium's wrappers of environments.
     """
     return getattr(env, "_env", None)
 
@@ -235,7 +235,7 @@ def serial_envs(env: Any) -> Sequence[Any]:  # noqa: ANN401
 def hide(module: Any, **values: object) -> None:  # noqa: ANN401 - a torch.nn.Module
     """Set attributes of a module that may hold modules, without making them parts of it.
 
-    Their parameters and states are then none of the module's. The trick is ``module.__dict__`` (torch 2.13.0), past
+    Their parameters and states then do not belong to the module. The trick is ``module.__dict__`` (torch 2.13.0), past
     ``torch.nn.Module.__setattr__``.
     """
     module.__dict__.update(values)
@@ -245,7 +245,7 @@ def hide(module: Any, **values: object) -> None:  # noqa: ANN401 - a torch.nn.Mo
 
 
 def stored_mapping(config: Any, key: str) -> Any:  # noqa: ANN401 - a DictConfig
-    """Read the mapping under ``key`` without resolving it; ``None`` if something else, or a null, stands there.
+    """Read the mapping under ``key`` without resolving it; ``None`` if the value is null or not a mapping.
 
     Private: ``DictConfig._get_node`` and ``Node._is_none`` (omegaconf 2.3.1).
     """
@@ -254,15 +254,15 @@ def stored_mapping(config: Any, key: str) -> Any:  # noqa: ANN401 - a DictConfig
 
 
 def own_launcher(settings: Mapping[str, Any]) -> bool:
-    """Tell whether a sweep's launcher is Hydra's own, which runs in this process, from its settings.
+    """Tell from a sweep's launcher settings whether it is Hydra's own, which runs in this process.
 
-    Private: the package ``hydra._internal``, where it lives (hydra-core 1.3.8).
+    Private: the package ``hydra._internal``, which holds that launcher (hydra-core 1.3.8).
     """
     return str(settings.get("_target_")).startswith("hydra._internal")
 
 
 def complete_compositions(complete: Callable[[Any], None]) -> None:
-    """Call ``complete`` with whatever Hydra composes from YAMLs, before it merges the command line's overrides.
+    """Call ``complete`` with each config that Hydra composes from YAMLs, before it merges the command line's overrides.
 
     Hydra has no plug-in for that moment. A second call changes nothing.
 

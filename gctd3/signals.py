@@ -13,10 +13,10 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopRequest:
-    """Remembers the first SIGINT or SIGTERM; the second one ends the process.
+    """Remember the first SIGINT or SIGTERM; the second one ends the process.
 
     Args:
-        file: Of a process among several: what stands for the signal, which another process hears.
+        file: For one of several processes, the file that stands for a signal which another process hears.
 
     Attributes:
         signal: The number of the signal, or ``None``.
@@ -31,12 +31,12 @@ class StopRequest:
 
     @property
     def exit_code(self) -> int:
-        """What a shell reports of a program that the signal ended."""
+        """Return the exit code that a shell reports for a program that the signal ended."""
         return 128 + (self.signal or 0)
 
     @contextlib.contextmanager
     def listening(self) -> Iterator[None]:
-        """Listen for signals meanwhile; only the main thread can, elsewhere or with a file this does nothing."""
+        """Listen for signals inside the context; outside the main thread, or with a file, this does nothing."""
         if self.file is not None or threading.current_thread() is not threading.main_thread():
             yield
             return

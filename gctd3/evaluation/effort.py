@@ -1,4 +1,4 @@
-"""What a gait costs and how it goes about it: energy, speed, slip, smoothness.
+"""Effort of a gait: energy, speed, slip, smoothness.
 
 NumPy in, floats out; units and sources stand in each docstring. :mod:`.gait_metrics` has the gait itself.
 """
@@ -13,11 +13,11 @@ GRAVITY = 9.81  # m/s^2
 
 
 def mechanical_work(torque: np.ndarray, speed: np.ndarray, dt: float) -> tuple[float, float]:
-    """Work of all joints (J): ``sum |tau w| dt``, as if braking cost what driving does, and ``sum max(tau w, 0) dt``.
+    """Compute work of all joints (J): ``sum |tau w| dt``, braking counted as driving, and ``sum max(tau w, 0) dt``.
 
     Args:
-        torque: Of each joint at each sample, shape ``[*, J]`` (N m).
-        speed: Of the same joints, shape ``[*, J]`` (rad/s).
+        torque: Torque of each joint at each sample, shape ``[*, J]`` (N m).
+        speed: Velocity of the same joints, shape ``[*, J]`` (rad/s).
         dt: Time between samples (s).
     """
     power = torque * speed
@@ -25,21 +25,23 @@ def mechanical_work(torque: np.ndarray, speed: np.ndarray, dt: float) -> tuple[f
 
 
 def cost_of_transport(work: float, mass: float, distance: float, gravity: float = GRAVITY) -> float:
-    """``E / (m g d)``, without unit (Torricelli et al. 2015); people walk at about 0.2, of metabolic energy.
+    """Compute the cost of transport ``E / (m g d)``, without unit (Torricelli et al. 2015).
 
-    NaN if the robot got nowhere.
+    People walk at about 0.2, of metabolic energy. NaN if the robot did not move forward.
 
     Args:
         work: ``E`` (J), either of :func:`mechanical_work`.
-        mass: ``m`` of the robot (kg).
-        distance: ``d`` walked (m).
+        mass: ``m``, mass of the robot (kg).
+        distance: ``d``, distance walked (m).
         gravity: ``g`` (m/s^2).
     """
     return float(work / (mass * gravity * distance)) if distance > 0 else float("nan")
 
 
 def froude_number(velocity: float, leg: float, gravity: float = GRAVITY) -> float:
-    """``v^2 / (g L)``, without unit (Alexander 1984): equal of animals of any size that move alike; 1 ends walking.
+    """Compute the Froude number ``v^2 / (g L)``, without unit (Alexander 1984).
+
+    It is equal for animals of any size that move alike; walking ends at 1.
 
     Args:
         velocity: ``v`` (m/s).
@@ -50,14 +52,14 @@ def froude_number(velocity: float, leg: float, gravity: float = GRAVITY) -> floa
 
 
 def slip_speed(speed: np.ndarray, contact: np.ndarray) -> float:
-    """Mean horizontal speed over the ground of a foot's sole while it is down (m/s); 0 of a foot that stays put.
+    """Compute the mean horizontal speed of a foot's sole over the ground while it is down (m/s); 0 without slip.
 
-    The first and the last sample of a contact are left out, in which the foot is landing or leaving. NaN if nothing
-    remains.
+    The first and the last sample of a contact are left out, in which the foot is landing or lifting off. NaN if no
+    samples remain.
 
     Args:
         speed: Horizontal speed of the sole's lowest point, shape ``[T]`` (m/s).
-        contact: Of the foot, shape ``[T]``.
+        contact: Contact of the foot, shape ``[T]``.
     """
     clean = debounce(contact)
     inside = clean[1:-1] & clean[:-2] & clean[2:]
@@ -65,27 +67,27 @@ def slip_speed(speed: np.ndarray, contact: np.ndarray) -> float:
 
 
 def saturation(force: np.ndarray, limit: np.ndarray) -> float:
-    """Share of samples at which an actuator gives all it can, over all actuators (%).
+    """Return the share of samples at which an actuator is at its force limit, over all actuators (%).
 
     Args:
-        force: Shape ``[*, A]`` (N m).
-        limit: Largest size of it, shape ``[A]`` (N m); infinite where there is none.
+        force: Force of each actuator, shape ``[*, A]`` (N m).
+        limit: Largest magnitude of the force, shape ``[A]`` (N m); infinite for an actuator without a limit.
     """
     return float((np.abs(force) >= limit * (1.0 - 1e-9)).mean() * 100.0)
 
 
 def action_rate(action: np.ndarray, dt: float) -> float:
-    """Root mean square of the first difference of actions ``[T, A]`` over ``dt`` (1/s; actions have no unit)."""
+    """Compute the RMS of the first difference of actions ``[T, A]`` over ``dt`` (1/s; actions have no unit)."""
     return _rms_difference(action, dt, 1)
 
 
 def action_jerk(action: np.ndarray, dt: float) -> float:
-    """Root mean square of the third difference of actions ``[T, A]`` over ``dt^3`` (1/s^3); Flash & Hogan 1985."""
+    """Compute the RMS of the third difference of actions ``[T, A]`` over ``dt^3`` (1/s^3); Flash & Hogan 1985."""
     return _rms_difference(action, dt, 3)
 
 
 def action_smoothness(action: np.ndarray, dt: float) -> float:
-    """``2 / (n f_s) sum_i M_i f_i`` over the spectrum of actions ``[T, A]``, averaged over ``A``; lower is smoother.
+    """Compute ``2 / (n f_s) sum_i M_i f_i`` over the spectrum of actions ``[T, A]``, mean over ``A``; lower: smoother.
 
     ``M_i`` is the amplitude at frequency ``f_i`` of ``n`` up to half the sampling frequency ``f_s = 1 / dt``, about the
     mean action (Mysore et al. 2021, CAPS). A sine of amplitude ``M`` and frequency ``f`` has ``2 M f / (n f_s)``.

@@ -1,4 +1,4 @@
-"""One episode of a policy as it was judged, and the gait in it."""
+"""One evaluated episode of a policy, and the gait in it."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import numpy as np
 from gctd3.evaluation import gait_metrics
 from gctd3.evaluation.recorder import Motion
 
-LAST_METRES = 10.0  # over which gaits are judged, so that the start does not count
+LAST_METRES = 10.0  # over which gaits are evaluated, so that the start does not count
 
 
 @dataclass(frozen=True)
 class Episode:
-    """One episode, as it was; ``T`` is its number of steps.
+    """Hold the record of one episode; ``T`` is its number of steps.
 
     Attributes:
-        reward: Shape ``[T]``.
+        reward: Reward of each step, shape ``[T]``.
         position: Distance walked, shape ``[T]`` (m).
-        height: Body height from standing, shape ``[T]`` (m).
+        height: Body height relative to standing, shape ``[T]`` (m).
         hips: Hip angles in the sense of the first leg's, one column per foot, shape ``[T, feet]`` (rad).
         feet_down: Contacts, shape ``[T, feet]``.
-        success: Whether it reached the finish.
+        success: Whether the robot reached the finish.
         pairs: Feet on the right and left that mirror each other.
-        motion: The rest of what it did, if that was recorded.
+        motion: The motion at the resolution of the physics, if it was recorded.
     """
 
     reward: np.ndarray
@@ -38,17 +38,17 @@ class Episode:
     motion: Motion | None = None
 
     def velocity(self, dt: float) -> float:
-        """Distance over time (m/s)."""
+        """Compute the mean velocity, distance over time (m/s)."""
         return float(self.position[-1]) / (len(self.position) * dt)
 
     @property
     def walked(self) -> np.ndarray | None:
-        """Which steps are of the last 10 m, shape ``[T]``; ``None`` if it did not get that far."""
+        """Mark the steps of the last 10 m, shape ``[T]``; ``None`` if the robot did not get that far."""
         walked = self.position > self.position[-1] - LAST_METRES
         return None if self.position[-1] < LAST_METRES or walked.sum() < 2 else walked
 
     def gait(self, dt: float) -> dict[str, float] | None:
-        """Metrics over the last 10 m; ``None`` if it did not get that far."""
+        """Compute gait metrics over the last 10 m; ``None`` if the robot did not get that far."""
         walked = self.walked
         if walked is None:
             return None

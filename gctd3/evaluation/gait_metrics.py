@@ -1,4 +1,4 @@
-"""Numbers that say what kind of gait a robot has, from contacts and joint angles.
+"""Gait metrics, computed from contacts and joint angles.
 
 NumPy in, floats out; units, formulas and sources stand in each docstring. What a signal does not show is NaN. Contacts
 are debounced here, and a stride lasts from a foot's touchdown to its next. :mod:`.gait_effort` has what a gait costs.
@@ -11,9 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-SHORTEST = 2  # samples; a contact or an interruption that is no longer is the sensor's
+SHORTEST = 2  # samples; a contact or an interruption of at most that length is sensor noise
 DROPPED = 2  # strides of each foot at the start that are not counted: the gait has yet to settle
-FEWEST = 3  # strides of a foot below which nothing is said of its period
+FEWEST = 3  # strides of a foot; with fewer its period is not evaluated
 LARGEST_VARIATION = 0.25  # of a periodic gait's stride times; people walk at 0.02 to 0.03 (Hausdorff 2005)
 LEAST_REGULARITY = 0.7  # of a periodic gait
 SHORTEST_SWING = 0.2  # of the stride; a foot that is up for less has bounced (people swing for 0.4)
@@ -21,7 +21,7 @@ PHASES = 100  # samples of a stride, for comparing strides of different length
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Pearson correlation of two signals ``[T]``; of left and right hip angle it is near -1 when legs alternate.
+    """Compute the Pearson correlation of two signals ``[T]``; that of the hip angles is near -1 when legs alternate.
 
     NaN if either is constant.
     """
@@ -32,13 +32,13 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def support_fractions(feet_down: np.ndarray) -> tuple[float, float, float]:
-    """Fractions of time with no foot, one foot and more feet on the ground, from contacts ``[T, feet]``."""
+    """Compute the fractions of time with no, one and more feet on the ground, from contacts ``[T, feet]``."""
     down = np.asarray(feet_down, dtype=bool).sum(axis=1)
     return float((down == 0).mean()), float((down == 1).mean()), float((down > 1).mean())
 
 
 def debounce(contact: np.ndarray, gap: int = SHORTEST, touch: int = SHORTEST) -> np.ndarray:
-    """The contact signal ``[T]`` without interruptions of at most ``gap`` samples and touches of at most ``touch``."""
+    """Remove interruptions of at most ``gap`` samples and touches of at most ``touch`` from a contact ``[T]``."""
     clean = np.array(contact, dtype=bool)
     # Gaps first: a bouncing touchdown is one stance, not several.
     for state, longest in ((False, gap), (True, touch)):
@@ -50,15 +50,15 @@ def debounce(contact: np.ndarray, gap: int = SHORTEST, touch: int = SHORTEST) ->
 
 
 def touchdowns(contact: np.ndarray) -> np.ndarray:
-    """Indices at which a foot's debounced contact ``[T]`` begins."""
+    """Find the indices at which a foot's debounced contact ``[T]`` begins."""
     clean = debounce(contact)
     return np.flatnonzero(clean[1:] & ~clean[:-1]) + 1
 
 
 def stride_frequency(feet_down: np.ndarray, dt: float) -> float:
-    """Strides per second (Hz): a stride lasts from a foot's touchdown to its next; median over strides of all feet.
+    """Compute the strides per second (Hz), from a foot's touchdown to its next; the median over strides of all feet.
 
-    NaN if no foot completes two strides, so that a gait without strides gets no number.
+    NaN for fewer than two strides of all feet together, so that a gait without strides gets no number.
 
     Args:
         feet_down: Contacts, shape ``[T, feet]``.
@@ -73,7 +73,7 @@ def stride_frequency(feet_down: np.ndarray, dt: float) -> float:
 
 
 def strides(contact: np.ndarray, drop: int = DROPPED) -> np.ndarray:
-    """The strides of one foot's contact signal ``[T]``, without the first ``drop``.
+    """Find the strides in one foot's contact signal ``[T]``, without the first ``drop``.
 
     Returns:
         First index of each stride and of the one after it, shape ``[K, 2]``.
@@ -83,18 +83,18 @@ def strides(contact: np.ndarray, drop: int = DROPPED) -> np.ndarray:
 
 
 def stride_variation(strides: np.ndarray) -> float:
-    """Coefficient of variation of the stride times of ``[K, 2]``: standard deviation over mean (Hausdorff 2005).
+    """Compute the coefficient of variation of stride times: standard deviation over mean (Hausdorff 2005).
 
-    NaN for fewer than two strides.
+    NaN for fewer than two strides ``[K, 2]``.
     """
     periods = np.diff(strides, axis=1)
     return float(periods.std() / periods.mean()) if len(periods) > 1 else float("nan")
 
 
 def is_periodic(feet: Sequence[np.ndarray]) -> bool:
-    """Whether every foot takes at least three strides, and their times vary by at most a quarter.
+    """Tell whether every foot takes at least three strides, and their times vary by at most a quarter.
 
-    A gait that is not periodic has no stride of which to give symmetry, phase or stability.
+    Symmetry, phase and stability are not defined for a gait that is not periodic.
 
     Args:
         feet: Strides of each foot, as :func:`strides` finds them.
@@ -104,25 +104,27 @@ def is_periodic(feet: Sequence[np.ndarray]) -> bool:
 
 
 def duty_factor(contact: np.ndarray, strides: np.ndarray) -> float:
-    """Contact time over stride time (Alexander 1984), the mean over strides; above 0.5 a biped walks, below it runs.
+    """Compute the duty factor, contact over stride time (Alexander 1984), the mean over strides.
+
+    A biped walks above 0.5 and runs below.
 
     Args:
-        contact: Of the foot, shape ``[T]``.
-        strides: Of the same foot, shape ``[K, 2]``.
+        contact: Contact of the foot, shape ``[T]``.
+        strides: Strides of the same foot, shape ``[K, 2]``.
     """
     clean = debounce(contact)
     return _mean([clean[begin:end].mean() for begin, end in strides])
 
 
 def phase_offset(strides: np.ndarray, touchdowns: np.ndarray) -> float:
-    """When in one foot's stride the other touches down, as a fraction in [0, 1); 0.5 of a gait whose legs take turns.
+    """Compute the phase of one foot's stride at which the other touches down, in [0, 1); 0.5 for alternating legs.
 
-    The circular mean over strides of ``(t_other - t_begin) / (t_end - t_begin)``; a stride in which the other foot does
-    not touch down is left out. NaN if it never does.
+    It is the circular mean over strides of ``(t_other - t_begin) / (t_end - t_begin)``; a stride in which the other
+    foot does not touch down is left out. NaN if it never does.
 
     Args:
-        strides: Of the one foot, shape ``[K, 2]``.
-        touchdowns: Of the other foot, shape ``[M]``.
+        strides: Strides of the one foot, shape ``[K, 2]``.
+        touchdowns: Touchdowns of the other foot, shape ``[M]``.
     """
     return circular_mean(
         [(t - begin) / (end - begin) for begin, end in strides for t in touchdowns if begin <= t < end]
@@ -130,23 +132,23 @@ def phase_offset(strides: np.ndarray, touchdowns: np.ndarray) -> float:
 
 
 def circular_mean(phases: Sequence[float]) -> float:
-    """Mean of fractions of a stride, in [0, 1): that of 0.9 and 0.1 is 0. Those that are NaN are left out."""
+    """Compute the mean of fractions of a stride, in [0, 1): that of 0.9 and 0.1 is 0. NaN values are left out."""
     known = np.array([phase for phase in phases if np.isfinite(phase)])
     if not len(known):
         return float("nan")
     mean = np.angle(np.exp(2j * np.pi * known).mean()) / (2 * np.pi)
-    # Rounded, since an offset of nothing may come out as the smallest negative number, which is 1 and not 0.
+    # Rounded, since an offset of 0 may come out as a tiny negative number, which modulo 1 is 1 and not 0.
     return float(np.round(mean, 12) % 1.0)
 
 
 def swing_clearance(height: np.ndarray, contact: np.ndarray) -> float:
-    """Height of a foot in the middle of its swing (m), the median over swings (Winter 1992 calls it toe clearance).
+    """Measure the height of a foot in mid-swing (m), the median over swings (Winter 1992 calls it toe clearance).
 
     The middle is halfway in time between lift-off and touchdown; swings at either end of the signal are left out.
 
     Args:
-        height: Of the sole's lowest point above the ground, shape ``[T]`` (m).
-        contact: Of the foot, shape ``[T]``.
+        height: Height of the sole's lowest point above the ground, shape ``[T]`` (m).
+        contact: Contact of the foot, shape ``[T]``.
     """
     clean, down = debounce(contact), touchdowns(contact)
     lifts = np.flatnonzero(~clean[1:] & clean[:-1]) + 1
@@ -158,31 +160,31 @@ def swing_clearance(height: np.ndarray, contact: np.ndarray) -> float:
 
 
 def symmetry_index(right: float, left: float) -> float:
-    """``(X_R - X_L) / (0.5 (X_R + X_L)) * 100`` (%), Herzog et al. 1989; 0 when both sides are equal.
+    """Compute the symmetry index ``(X_R - X_L) / (0.5 (X_R + X_L)) * 100`` (%), Herzog et al. 1989; 0 if equal.
 
-    For positive quantities: of an angle, whose mean may be zero, it says nothing; see :func:`shifted_rms`.
+    It is for positive quantities and says nothing about an angle, whose mean may be zero; see :func:`shifted_rms`.
     """
     total = 0.5 * (right + left)
     return float((right - left) / total * 100.0) if total else float("nan")
 
 
 def mean_stride(signal: np.ndarray, strides: np.ndarray, phases: int = PHASES) -> np.ndarray:
-    """The average course of a signal ``[T]`` over strides ``[K, 2]``, each stretched to ``phases`` samples."""
+    """Average a signal ``[T]`` over strides ``[K, 2]``, each interpolated at ``phases`` samples."""
     grid = np.arange(phases) / phases
     times = np.arange(len(signal))
     return np.mean([np.interp(begin + grid * (end - begin), times, signal) for begin, end in strides], axis=0)
 
 
 def shifted_rms(right: np.ndarray, left: np.ndarray, strides: np.ndarray) -> float:
-    """How far the left joint is from doing what the right did half a stride before: RMS of the difference (rad).
+    """Compute the RMS difference between a right joint and the left joint half a stride later (rad).
 
-    ``sqrt(mean_p (R(p) - L(p + 1/2))^2)`` over the phases ``p`` of the mean stride; 0 of legs that take turns in the
+    ``sqrt(mean_p (R(p) - L(p + 1/2))^2)`` over the phases ``p`` of the mean stride; 0 for legs that alternate in the
     same movement.
 
     Args:
         right: Angle of a right joint, shape ``[T]`` (rad).
         left: Angle of the same joint on the left, in the same sense, shape ``[T]`` (rad).
-        strides: Of the right foot, shape ``[K, 2]``.
+        strides: Strides of the right foot, shape ``[K, 2]``.
     """
     if not len(strides):
         return float("nan")
@@ -191,7 +193,7 @@ def shifted_rms(right: np.ndarray, left: np.ndarray, strides: np.ndarray) -> flo
 
 
 def rms(values: np.ndarray) -> float:
-    """Root of the mean square of all values."""
+    """Compute the root mean square of all values."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -199,13 +201,13 @@ def rms(values: np.ndarray) -> float:
 
 
 def regularity(signals: np.ndarray, lag: int) -> float:
-    """How well signals repeat after ``lag`` samples: their autocorrelation there, in [-1, 1]; 1 of a periodic motion.
+    """Compute the autocorrelation of signals at ``lag`` samples, in [-1, 1]; 1 for a periodic motion.
 
     ``sum_t x_t x_{t+lag} / sqrt(sum_t x_t^2 sum_t x_{t+lag}^2)`` about the mean, over all signals together, after the
     stride regularity of Moe-Nilssen & Helbostad 2004. NaN for fewer than two strides, or if nothing moves.
 
     Args:
-        signals: Shape ``[T, J]``.
+        signals: Signals, shape ``[T, J]``.
         lag: Samples in a stride.
     """
     if lag < 1 or len(signals) < 2 * lag:
@@ -217,10 +219,10 @@ def regularity(signals: np.ndarray, lag: int) -> float:
 
 
 def stride_lag(signals: np.ndarray) -> int | None:
-    """Samples in a stride of joint angles ``[T, J]``: the first lag after which they repeat about as well as ever.
+    """Find the samples in a stride of joint angles ``[T, J]``: the first lag at which they repeat nearly best.
 
-    The first peak of :func:`regularity` past its first zero that comes within 0.1 of the highest; legs that take turns
-    do not repeat after half a stride. ``None`` if no peak reaches 0.7: then the motion is not periodic.
+    It is the first peak of :func:`regularity` past its first zero that comes within 0.1 of the highest; alternating
+    legs do not repeat after half a stride. ``None`` if no peak reaches 0.7: then the motion is not periodic.
     """
     values = np.array([regularity(signals, lag) for lag in range(1, len(signals) // 2 + 1)])
     below = np.flatnonzero(values < 0)
@@ -234,17 +236,18 @@ def stride_lag(signals: np.ndarray) -> int | None:
 
 
 def floquet_multipliers(sections: Sequence[np.ndarray]) -> np.ndarray | None:
-    """Eigenvalues of the touchdown map, largest first: deviations ``d`` from the mean state obey ``d' = A d``.
+    """Estimate the eigenvalues of the touchdown map ``A``, largest first: deviations from the mean obey ``d' = A d``.
 
-    ``A`` is the least-squares fit over all pairs of a touchdown and the next. All within the unit circle: what pushes
-    the gait off its cycle dies out (Hurmuzlu & Basdogan 1994). Noise pulls the estimate towards zero (Ahn & Hogan
-    2015), and so does a touchdown that is known to a sample only: these are estimates from below.
+    ``A`` is the least-squares fit over all pairs of the state at a touchdown and at the next. If all eigenvalues lie
+    within the unit circle, deviations from the cycle die out (Hurmuzlu & Basdogan 1994). Noise pulls the
+    estimate towards zero (Ahn & Hogan 2015), and so does a touchdown that is known to a sample only: these are
+    estimates from below.
 
     Args:
         sections: For each episode the states at one foot's touchdowns, shape ``[K, n]``.
 
     Returns:
-        Complex, shape ``[n]``; ``None`` with fewer than ``3 n`` pairs, too few to fit to.
+        Complex eigenvalues, shape ``[n]``; ``None`` with fewer than ``3 n`` pairs, too few to fit to.
     """
     usable = [section for section in sections if len(section) > 1]
     pairs = sum(len(section) - 1 for section in usable)

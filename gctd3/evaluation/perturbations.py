@@ -1,4 +1,4 @@
-"""What can be done to a robot that walks: shoves, loads, other ground, actions that come late, sensors that err."""
+"""Perturbations of a walking robot: pushes, loads, other ground, delayed actions, sensor noise."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ Policy = Callable[[TensorDictBase], TensorDictBase]
 
 
 def altered(robot: Robot, mass: float = 1.0, friction: float = 1.0) -> Robot:
-    """The robot with all its masses and inertias, and everything's friction, times a factor.
+    """Return the robot with all its masses and inertias, and all friction of the model, scaled by a factor.
 
-    Of two surfaces that touch MuJoCo takes the larger friction, so the ground's changes with the soles'.
+    MuJoCo takes the larger friction of two surfaces in contact, so that of the ground changes with that of the soles.
     """
     model = copy.deepcopy(robot.model)
     bodies = bodies_below(model, model.body(robot.root).id)
@@ -36,7 +36,7 @@ def altered(robot: Robot, mass: float = 1.0, friction: float = 1.0) -> Robot:
 
 
 def velocity_change(robot: Robot, qpos: np.ndarray, impulse: np.ndarray) -> np.ndarray:
-    """What an impulse at the root body's centre of mass adds to the velocities: ``M(q)^-1 J(q)^T p``.
+    """Compute the velocity change by an impulse at the root body's centre of mass: ``M(q)^-1 J(q)^T p``.
 
     Args:
         robot: The robot.
@@ -44,7 +44,7 @@ def velocity_change(robot: Robot, qpos: np.ndarray, impulse: np.ndarray) -> np.n
         impulse: ``p`` in the world's axes, shape ``[3]`` (N s).
 
     Returns:
-        Shape ``[nv]``.
+        Change of the generalised velocities, shape ``[nv]``.
     """
     model, data = robot.model, mujoco.MjData(robot.model)
     data.qpos[:] = qpos
@@ -56,7 +56,7 @@ def velocity_change(robot: Robot, qpos: np.ndarray, impulse: np.ndarray) -> np.n
 
 
 def resting_action(robot: Robot) -> torch.Tensor:
-    """The action that asks the servos for the pose in which episodes begin, shape ``[A]``, in [-1, 1]."""
+    """Return the action that commands the servos to the pose in which episodes begin, shape ``[A]``, in [-1, 1]."""
     model = robot.model
     angles = robot.start_qpos[model.jnt_qposadr[model.actuator_trnid[:, 0]]] * model.actuator_gear[:, 0]
     low, high = robot.action_range.T
@@ -65,12 +65,12 @@ def resting_action(robot: Robot) -> torch.Tensor:
 
 
 class Delayed:
-    """A policy whose actions arrive some control steps late; until the first one does, the servos hold the start pose.
+    """Delay a policy's actions by some control steps; until the first one arrives, the servos hold the start pose.
 
     Args:
-        policy: The policy; this is one for a single episode of every robot.
-        steps: Control steps.
-        rest: See :func:`resting_action`.
+        policy: The policy; the wrapper serves a single episode of every robot.
+        steps: Delay (control steps).
+        rest: Action for the start pose, see :func:`resting_action`.
     """
 
     def __init__(self, policy: Policy, steps: int, rest: torch.Tensor) -> None:
@@ -88,12 +88,12 @@ class Delayed:
 
 
 class Noisy:
-    """A policy whose sensors err by a normal amount, drawn once for every frame and remembered with it in the stack.
+    """Add Gaussian noise to a policy's sensors, drawn once for every frame and kept with it in the frame stack.
 
     Args:
-        policy: The policy; this is one for a single episode of every robot.
+        policy: The policy; the wrapper serves a single episode of every robot.
         deviation: Standard deviation of every feature of a frame, shape ``[N, F]``; see :func:`sensor_deviation`.
-        seed: Of the noise.
+        seed: Seed of the noise.
     """
 
     def __init__(self, policy: Policy, deviation: torch.Tensor, seed: int) -> None:
@@ -106,7 +106,7 @@ class Noisy:
         nodes = state["nodes"]
         fresh = self.deviation * torch.randn((*nodes.shape[:-1], self.deviation.shape[-1]), generator=self._generator)
         if self._noise is None:
-            # As the frame of the reset fills the whole stack, so does its error.
+            # The frame of the reset fills the whole stack, and so does its error.
             self._noise = torch.cat([fresh] * (nodes.shape[-1] // fresh.shape[-1]), dim=-1)
         else:
             self._noise = torch.cat([self._noise[..., fresh.shape[-1] :], fresh], dim=-1)
@@ -115,34 +115,34 @@ class Noisy:
 
 
 def sensor_deviation(task: SimulatedTask, angle: float, velocity: float, length: float, speed: float) -> torch.Tensor:
-    """Return standard deviations of the errors of every node's features in a frame, ``[N, F]``; contacts are sure.
+    """Return the standard deviations of every node feature's error in a frame, ``[N, F]``; contacts have no error.
 
     Args:
-        task: The task, whose nodes sense something.
-        angle: Of angles (rad).
-        velocity: Of angular velocities (rad/s).
-        length: Of the body's height, and its way to the side (m).
-        speed: Of the body's velocities (m/s).
+        task: The task, whose nodes observe features.
+        angle: Standard deviation for angles (rad).
+        velocity: Standard deviation for angular velocities (rad/s).
+        length: Standard deviation for the body's height and its lateral position (m).
+        speed: Standard deviation for the body's velocities (m/s).
     """
     errors = {"angle": angle, "angular velocity": velocity, "length": length, "velocity": speed}
     return torch.from_numpy(task.table.deviations(errors).astype(np.float32))
 
 
 class Shoved:
-    """A policy whose robots are shoved once each, some time after a touchdown of their first foot.
+    """Push each robot of a policy once, some time after a touchdown of its first foot.
 
-    A shove changes the velocities from one control step to the next, as a blow does.
+    A push changes the velocities from one control step to the next, as an impact does.
 
     Args:
-        policy: The policy; this is one for a single episode of every robot.
-        simulation: In which the robots walk.
-        impulses: Of each robot, along its forward axis, shape ``[robots]`` (N s); negative against it.
-        waits: Control steps from the touchdown to each shove, shape ``[robots]``.
+        policy: The policy; the wrapper serves a single episode of every robot.
+        simulation: The simulation in which the robots walk.
+        impulses: Impulse on each robot along its forward axis, shape ``[robots]`` (N s); negative against it.
+        waits: Control steps from the touchdown to each push, shape ``[robots]``.
         settle: Distance past which a touchdown counts (m).
         swing: Control steps that the foot has to have been in the air before.
 
     Attributes:
-        shoved_at: Control step before which each robot was shoved, -1 if it was not, shape ``[robots]``.
+        shoved_at: Control step before which each robot was pushed, -1 if it was not, shape ``[robots]``.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class Shoved:
         self._step = 0
 
     def __call__(self, state: TensorDictBase) -> TensorDictBase:
-        """Shove those whose turn it is, then act on ``state``, which was sensed before."""
+        """Push the robots whose wait is over, then act on ``state``, which was observed before the push."""
         now = self.simulation.now
         down = now.feet_down[:, 0]
         self._armed |= down & (self._air >= self.swing) & (now.position >= self.settle)

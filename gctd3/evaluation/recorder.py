@@ -1,4 +1,4 @@
-"""What robots do while they are judged, as finely as physics has it: forces of the servos, soles, joints, actions."""
+"""Motion of robots during evaluation, at the resolution of the physics: servo forces, soles, joints, actions."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from gctd3.robots.robot import Robot
 
 @dataclass(frozen=True)
 class Motion:
-    """One episode of one robot; ``T`` is its number of control steps, and every row is the state after one.
+    """Hold the motion of one robot in one episode of ``T`` control steps; every row is the state after a step.
 
     Attributes:
-        action: Shape ``[T, A]``, in [-1, 1].
-        angles: Of ``robot.joints``, shape ``[T, J]`` (rad).
-        velocities: Of the same, shape ``[T, J]`` (rad/s).
-        velocity: Forward, shape ``[T]`` (m/s).
-        state: All coordinates but the way forward, and all velocities, shape ``[T, nq - 1 + nv]``.
-        work: Of all servos in the control step, absolute and positive, shape ``[T, 2]`` (J).
-        saturated: Share of its physics steps in which each servo gave all it can, shape ``[T, A]``.
-        sole_height: Of each foot's lowest point, above where it is when standing, shape ``[T, feet]`` (m).
+        action: Actions, shape ``[T, A]``, in [-1, 1].
+        angles: Angles of ``robot.joints``, shape ``[T, J]`` (rad).
+        velocities: Velocities of the same joints, shape ``[T, J]`` (rad/s).
+        velocity: Forward velocity, shape ``[T]`` (m/s).
+        state: All coordinates but the forward position, and all velocities, shape ``[T, nq - 1 + nv]``.
+        work: Work of all servos in the control step, absolute and positive, shape ``[T, 2]`` (J).
+        saturated: Share of its physics steps in which each servo was at its force limit, shape ``[T, A]``.
+        sole_height: Height of each foot's lowest point above its height when standing, shape ``[T, feet]`` (m).
         sole_speed: Horizontal speed of that point, shape ``[T, feet]`` (m/s).
     """
 
@@ -41,12 +41,12 @@ class Motion:
     sole_speed: np.ndarray
 
     def since(self, step: int) -> Motion:
-        """The motion from a control step on."""
+        """Return the motion from a control step on."""
         return Motion(**{field.name: getattr(self, field.name)[step:] for field in fields(self)})
 
 
 class Servos:
-    """The position servos of a robot that walks, as MuJoCo computes them: ``clip(g u + b0 + b1 l + b2 v)``.
+    """Compute the forces of a robot's position servos as MuJoCo does: ``clip(g u + b0 + b1 l + b2 v)``.
 
     ``u`` is the desired angle, ``l`` and ``v`` are length and velocity of the actuator: gear times joint angle (rad)
     and joint velocity (rad/s).
@@ -64,7 +64,7 @@ class Servos:
         self.act = np.where(self.filtered, model.actuator_actadr + model.actuator_actnum - 1, 0)
 
     def force(self, qpos: np.ndarray, qvel: np.ndarray, control: np.ndarray) -> np.ndarray:
-        """Of every servo, shape ``[*, A]`` (N m), from ``qpos [*, nq]``, ``qvel [*, nv]`` and inputs ``[*, A]``."""
+        """Compute servo forces ``[*, A]`` (N m) from ``qpos [*, nq]``, ``qvel [*, nv]`` and inputs ``[*, A]``."""
         b0, b1, b2 = self.bias
         length, velocity = qpos[..., self.qpos] * self.gear, qvel[..., self.qvel] * self.gear
         wanted = self.gain * control + b0 + b1 * length + b2 * velocity
@@ -72,11 +72,11 @@ class Servos:
 
 
 class Recorder:
-    """Follows the robots of a simulation, from after a reset.
+    """Record the motion of the robots of a simulation, from after a reset.
 
     Args:
-        robot: Their kind.
-        simulation: In which they are stepped.
+        robot: The robot model that they share.
+        simulation: The simulation that steps them.
     """
 
     def __init__(self, robot: Robot, simulation: Simulation) -> None:
@@ -85,7 +85,7 @@ class Recorder:
         self._rows: list[tuple[np.ndarray, ...]] = []
 
     def add(self, action: np.ndarray) -> None:
-        """Take down the control step that was just made with ``action [N, A]``."""
+        """Record the control step that was just made with ``action [N, A]``."""
         simulation, servos, model = self.simulation, self.servos, self.robot.model
         states = simulation.trail()
         qpos, rest = states[..., 1 : 1 + model.nq], 1 + model.nq
@@ -104,7 +104,7 @@ class Recorder:
         self._rows.append((action.copy(), qpos[:, -1].copy(), qvel[:, -1].copy(), work, saturated))
 
     def motions(self, steps: list[int]) -> list[Motion]:
-        """What each robot did in its first steps, as many as ``steps`` says."""
+        """Return the motion of each robot in its first control steps, whose number ``steps`` gives."""
         columns = [np.stack(column, axis=1) for column in zip(*self._rows, strict=True)]
         return [self._motion(*(column[i, :count] for column in columns)) for i, count in enumerate(steps)]
 
@@ -127,15 +127,15 @@ class Recorder:
 
 
 def soles(robot: Robot, qpos: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """How high each foot's lowest point is above where it stands (m), and how fast that point moves over the ground.
+    """Compute the height of each foot's lowest point above its standing height (m), and its horizontal speed (m/s).
 
-    The point is one of the foot's material: the distance that it goes to the next sample, over ``dt``; a foot that
-    rolls over its edge does not slip.
+    The point is fixed to the foot, and its speed is the distance that it goes to the next sample over ``dt``; a foot
+    that rolls over its edge does not slip.
 
     Args:
         robot: The robot.
-        qpos: Shape ``[T, nq]``.
-        dt: Between the samples (s).
+        qpos: Poses, shape ``[T, nq]``.
+        dt: Time between the samples (s).
 
     Returns:
         Heights (m) and speeds (m/s), each of shape ``[T, feet]``.
@@ -164,12 +164,12 @@ def soles(robot: Robot, qpos: np.ndarray, dt: float) -> tuple[np.ndarray, np.nda
         later = place[1:, i] + np.einsum("tjk,tk->tj", turn[1:, i], points[lowest[:-1]])
         speed[:-1, i] = np.linalg.norm((later - now[:-1])[:, :2], axis=1) / dt
     if len(qpos) > 1:
-        speed[-1] = speed[-2]  # where it goes from the last sample, nobody sees
+        speed[-1] = speed[-2]  # the last sample has no successor
     return height, speed
 
 
 def leg_length(robot: Robot) -> float:
-    """Height of the hips above the ground when standing, the mean over legs (m)."""
+    """Return the height of the hips above the ground when standing, the mean over legs (m)."""
     model, data = robot.model, mujoco.MjData(robot.model)
     data.qpos[:] = robot.standing_qpos
     mujoco.mj_kinematics(model, data)
@@ -179,5 +179,5 @@ def leg_length(robot: Robot) -> float:
 
 
 def total_mass(robot: Robot) -> float:
-    """Of the robot (kg)."""
+    """Return the total mass of a robot (kg)."""
     return float(robot.model.body(robot.root).subtreemass[0])

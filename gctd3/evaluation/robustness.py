@@ -1,4 +1,4 @@
-"""What a walking policy stands: shoves at every phase of the stride, other masses and floors, late actions, noise."""
+"""Robustness of a walking policy: pushes at every phase of the stride, other masses and floors, late actions, noise."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ AS_TRAINED = "as trained"
 
 @dataclass(frozen=True)
 class Examination:
-    """A policy that is to be tried.
+    """Evaluate the robustness of a policy under perturbations.
 
     Attributes:
         policy: The policy.
-        task: On which it is judged.
-        env: Where it is stepped; its number of robots is that of the episodes of each condition.
-        seed: Of the starts and of the noise.
-        perturbations: What is tried.
+        task: The task on which the policy is evaluated.
+        env: Settings of the environment; its number of robots is the number of episodes of each condition.
+        seed: Seed of the starts and of the noise.
+        perturbations: Settings of the perturbations.
     """
 
     policy: Policy
@@ -42,10 +42,11 @@ class Examination:
     perturbations: Perturbations
 
     def results(self, stride_time: float | None) -> dict[str, Any]:
-        """All of it, ready for JSON.
+        """Evaluate the policy under all conditions and return the results, ready for JSON.
 
         Args:
-            stride_time: Of the policy's gait (s); without strides there are no phases at which to shove.
+            stride_time: Stride time of the policy's gait (s); ``None`` for a gait without strides, which has no phases
+                at which to push.
         """
         conditions: dict[str, dict[str, float | int]] = {}
         with tqdm(self._conditions().items(), desc="trying", unit=" condition") as bar:
@@ -77,10 +78,10 @@ class Examination:
         return evaluate(policy, build_env(task, self.env, self.seed), task, self.seed).summary()
 
     def shoves(self, stride_time: float) -> dict[str, Any]:
-        """Every impulse at every phase in both directions, all at once.
+        """Push robots with every impulse at every phase in both directions, all in one batch.
 
-        ``survived`` is the share of starts, by direction, phase and impulse, ``None`` where nobody got that far;
-        ``largest`` the impulse (N s) up to which all survive, by direction and phase.
+        ``survived`` is the share of starts, by direction, phase and impulse, ``None`` where no robot got that far;
+        ``largest`` is the impulse (N s) up to which all survive, by direction and phase.
         """
         p, dt = self.perturbations, self.task.control_dt
         period = stride_time / dt
@@ -99,7 +100,7 @@ class Examination:
         episodes = evaluate(shoved, env, self.task, self.seed).episodes
         lasted = np.array([len(episode.reward) for episode in episodes]) - shoved.shoved_at
         stood = (lasted >= p.recover / dt) | np.array([episode.success for episode in episodes])
-        # Whoever fell before goes on being simulated, but its episode is over.
+        # A robot that fell before is simulated further, but its episode is over.
         known = (shoved.shoved_at >= 0) & (lasted > 0)
         stood, known = (stood & known).reshape(shape), known.reshape(shape)
         rates = np.where(known.any(axis=-1), stood.sum(axis=-1) / np.maximum(known.sum(axis=-1), 1), np.nan)
@@ -112,14 +113,14 @@ class Examination:
 
 
 def largest(rates: np.ndarray, impulses: Sequence[float]) -> np.ndarray:
-    """Up to which impulse all survive: that one and every smaller one; 0 if not even the smallest.
+    """Find the largest impulse such that all survive it and every smaller one; 0 if not all survive the smallest.
 
     Args:
-        rates: Shares that survive, shape ``[*, impulses]``; NaN where nobody was shoved.
-        impulses: Rising (N s).
+        rates: Shares that survive, shape ``[*, impulses]``; NaN where no robot was pushed.
+        impulses: Impulses in rising order (N s).
 
     Returns:
-        Shape ``[*]`` (N s), NaN where nobody was shoved with the smallest.
+        Largest impulse survived, shape ``[*]`` (N s); NaN where no robot was pushed with the smallest.
     """
     steps = np.cumprod(rates >= 1.0, axis=-1).sum(axis=-1)
     found = np.concatenate([[0.0], np.asarray(impulses, dtype=np.float64)])[steps]
@@ -127,13 +128,13 @@ def largest(rates: np.ndarray, impulses: Sequence[float]) -> np.ndarray:
 
 
 def weakest(results: Mapping[str, Any], direction: str) -> float:
-    """The largest impulse (N s) that is survived at every phase; NaN if nobody was shoved."""
+    """Return the largest impulse (N s) that is survived at every phase; NaN if no robot was pushed."""
     found = [value for value in ((results.get("shoves") or {}).get("largest") or {}).get(direction, ())]
     return min((math.nan if value is None else value for value in found), default=math.nan)
 
 
 def table(results: Mapping[str, Any]) -> str:
-    """The results as text: a line for each condition, then the shoves by phase."""
+    """Format the results as text: a line for each condition, then the pushes by phase."""
     lines = [f"{'':24}{'success':>9}{'return':>16}{'m/s':>8}{'m':>8}"]
     for name, found in results["conditions"].items():
         spread = f"{found['return_mean']:.1f} ± {found['return_std']:.1f}"
@@ -171,7 +172,7 @@ def _percent(factor: float) -> str:
 
 
 def _plain(values: np.ndarray) -> Any:  # noqa: ANN401 - nested lists
-    """As lists, with ``None`` where there is no number."""
+    """Convert an array to nested lists, with ``None`` for numbers that are not finite."""
     if values.ndim:
         return [_plain(row) for row in values]
     return float(values) if np.isfinite(values) else None

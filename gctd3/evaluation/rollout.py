@@ -1,4 +1,4 @@
-"""Many episodes of one policy: run them, and what they come to."""
+"""Run many episodes of one policy and summarise them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gctd3.tasks.task import Task
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Many episodes of one policy.
+    """Hold many episodes of one policy.
 
     Attributes:
         episodes: The episodes.
@@ -31,11 +31,11 @@ class Evaluation:
 
     @property
     def returns(self) -> np.ndarray:
-        """Shape ``[episodes]``."""
+        """Return the undiscounted return of each episode, shape ``[episodes]``."""
         return np.array([episode.reward.sum() for episode in self.episodes])
 
     def summary(self) -> dict[str, float | int]:
-        """The headline numbers: means over episodes, ``return_std`` their standard deviation."""
+        """Summarise the episodes by means over them; ``return_std`` is the standard deviation of their returns."""
         episodes = self.episodes
         return {
             "episodes": len(episodes),
@@ -49,11 +49,11 @@ class Evaluation:
 
     @property
     def typical(self) -> Episode:
-        """The episode whose return is the median one, or just below."""
+        """Return the episode with the median return, or the one just below."""
         return self.episodes[int(np.argsort(self.returns, kind="stable")[(len(self.episodes) - 1) // 2])]
 
     def gait(self) -> dict[str, float]:
-        """Gait metrics over the last 10 m, averaged over the episodes that got that far; empty if none did."""
+        """Average gait metrics of the last 10 m over the episodes that got that far; empty if none did."""
         gaits = [gait for e in self.episodes if (gait := e.gait(self.control_dt)) is not None]
         if not gaits:
             return {}
@@ -65,10 +65,10 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, task: Task, seed: int, 
     """Run one episode on every robot of ``env``.
 
     Args:
-        policy: Reads ``"nodes"``, writes ``"action"``; its mode is taken if it is stochastic.
-        env: Of :func:`gctd3.envs.factory.build_env`, batch size ``[episodes]``.
-        task: What the robots are asked.
-        seed: Of the starts: equal seeds, equal starts.
+        policy: Policy that reads ``"nodes"`` and writes ``"action"``; its mode is taken if it is stochastic.
+        env: Environment from :func:`gctd3.envs.factory.build_env`, batch size ``[episodes]``.
+        task: The task of the robots.
+        seed: Seed of the starts: equal seeds, equal starts.
         record: Whether to keep each episode's motion; only for the batched backend.
 
     Raises:

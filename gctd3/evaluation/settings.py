@@ -1,4 +1,4 @@
-"""Settings of evaluations: how many episodes, and what a policy has to stand."""
+"""Settings of evaluations: the number of episodes and the perturbations."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gctd3.errors import ConfigError, check_between, check_seed
 
 @dataclass(frozen=True, kw_only=True)
 class Judging:
-    """Set how many episodes are judged, and from where, for all commands that judge.
+    """Set the number of evaluated episodes and the seed of their starts, for all commands that evaluate.
 
     Attributes:
         episodes: Episodes, each from its own start.
@@ -30,16 +30,16 @@ class Judging:
 
 @dataclass(frozen=True)
 class Perturbations:
-    """Set what a policy is tried with, each by itself; the rest is as it was in training.
+    """Set the perturbations that a policy is tested with, one at a time; the rest is as it was in training.
 
     Attributes:
-        impulses: Shoves of the body along its way and against it, rising (N s): the blow of a moment.
-        phases: Parts of the stride, at the beginning of each of which robots are shoved.
-        starts: Shoves of each impulse, phase and direction, each in an episode of its own.
-        settle: Distance after which a robot is shoved (m).
-        recover: Time that it has to go on without an ending after the shove (s).
+        impulses: Impulses of the pushes on the body, forward and backward, in rising order (N s), each instantaneous.
+        phases: Number of equal parts of the stride, at the beginning of each of which robots are pushed.
+        starts: Pushes of each impulse, phase and direction, each in an episode of its own.
+        settle: Distance after which a robot is pushed (m).
+        recover: Time for which the robot has to go on without a termination after the push (s).
         masses: Factors of all the robot's masses and inertias.
-        frictions: Factors of all friction, the ground's too.
+        frictions: Factors of all friction, including the ground's.
         delays: Delays of the actions (control steps).
         angle_noise: Standard deviation of the errors of angles (rad).
         velocity_noise: Standard deviation of the errors of angular velocities (rad/s).

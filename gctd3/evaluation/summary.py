@@ -14,7 +14,7 @@ from gctd3.evaluation.episode import Episode
 from gctd3.evaluation.recorder import Motion, leg_length, total_mass
 from gctd3.robots.robot import Robot
 
-# What only a gait with strides has; `null` where there are none.
+# Metrics that only a gait with strides has; `null` for other gaits.
 OF_STRIDES = (
     "stride_time",
     "stride_frequency",
@@ -31,12 +31,12 @@ OF_STRIDES = (
 
 @dataclass(frozen=True)
 class Gait:
-    """The last 10 m of one episode whose motion was recorded.
+    """Represent the gait in the last 10 m of one episode whose motion was recorded.
 
     Attributes:
         episode: The episode; it got that far.
-        motion: What it did, from its beginning.
-        robot: Whose it is.
+        motion: The recorded motion, from the beginning of the episode.
+        robot: The robot that walked.
         dt: Control period (s).
     """
 
@@ -47,18 +47,18 @@ class Gait:
 
     @cached_property
     def begin(self) -> int:
-        """The step with which the last 10 m begin."""
+        """Return the step with which the last 10 m begin."""
         walked = self.episode.walked
         return int(np.argmax(walked)) if walked is not None else 0
 
     @cached_property
     def lag(self) -> int | None:
-        """Control steps in a stride, by the joints; ``None`` of a motion that does not repeat."""
+        """Return the control steps in a stride, by the joint angles; ``None`` for a motion that does not repeat."""
         return gait_metrics.stride_lag(self.motion.angles[self.begin :])
 
     @cached_property
     def feet_down(self) -> np.ndarray:
-        """Contacts without bounces, shape ``[T, feet]``: what is too short for a swing of this gait is none.
+        """Return contacts without bounces, ``[T, feet]``: interruptions too short for a swing of this gait are removed.
 
         A stance may be that short: the faster a robot runs, the shorter its feet are down.
         """
@@ -67,27 +67,27 @@ class Gait:
 
     @cached_property
     def strides(self) -> list[np.ndarray]:
-        """Each foot's strides in the last 10 m, and never the first ones of the episode."""
+        """Return each foot's strides in the last 10 m, and never the first ones of the episode."""
         found = [gait_metrics.strides(contact) for contact in self.feet_down.T]
         return [foot[foot[:, 0] >= self.begin] for foot in found]
 
     @cached_property
     def periodic(self) -> bool:
-        """Whether it repeats, and has strides worth the name, see :func:`.is_periodic`."""
+        """Tell whether the joint motion repeats and the strides are periodic, see :func:`.is_periodic`."""
         return self.lag is not None and gait_metrics.is_periodic(self.strides)
 
     @property
     def sections(self) -> np.ndarray:
-        """The state at the first foot's touchdowns, shape ``[K, n]``."""
+        """Return the states at the first foot's touchdowns, shape ``[K, n]``."""
         foot = self.strides[0]
         return self.motion.state[np.append(foot[:, 0], foot[-1:, 1])]
 
     def of_time(self, mass: float, leg: float) -> dict[str, float]:
-        """What every motion has, periodic or not.
+        """Compute the metrics that are defined for every motion, periodic or not.
 
         Args:
-            mass: Of the robot (kg).
-            leg: Its length (m).
+            mass: Mass of the robot (kg).
+            leg: Leg length of the robot (m).
         """
         part, episode, begin = self.motion.since(self.begin), self.episode, self.begin
         distance = float(episode.position[-1] - episode.position[begin])
@@ -111,7 +111,7 @@ class Gait:
         }
 
     def of_strides(self) -> dict[str, float]:
-        """What a gait that is periodic has besides."""
+        """Compute the metrics that are defined only for a periodic gait."""
         episode, feet = self.episode, self.strides
         duty = [gait_metrics.duty_factor(self.feet_down[:, i], foot) for i, foot in enumerate(feet)]
         phases = [
@@ -135,7 +135,7 @@ class Gait:
         }
 
     def _asymmetry(self) -> dict[str, float]:
-        """Of each pair of joints, by the name of the one in the leg that comes first."""
+        """Compute the asymmetry of each pair of joints, by the name of the joint in the leg that comes first."""
         robot, found = self.robot, {}
         names = [joint.name for joint in robot.joints]
         for i, _ in self.episode.pairs:
@@ -149,15 +149,15 @@ class Gait:
 
 
 def asymmetry_of(joint: str) -> str:
-    """What the left-right difference of a joint's movement is called."""
+    """Name the metric for the left-right difference of a joint's movement."""
     return f"asymmetry_{joint}"
 
 
 def summarize(episodes: Sequence[Episode], robot: Robot, dt: float) -> dict[str, float | None]:
-    """Metrics over the last 10 m, averaged over the episodes that got that far; empty if none did.
+    """Average metrics of the last 10 m over the recorded episodes that got that far; empty if none did.
 
-    ``periodic_fraction`` is the share of those with strides to judge, and ``strides`` how many they made, of all feet.
-    What only such a gait has is ``None`` unless half of them have it: a few would not be typical.
+    ``periodic_fraction`` is the share of those with a periodic gait, and ``strides`` the number of their strides, over
+    all feet. Metrics of ``OF_STRIDES`` are ``None`` unless half of the gaits are periodic: a few would not be typical.
     """
     far = [e for e in episodes if e.walked is not None and e.motion is not None]
     gaits = [Gait(e, e.motion, robot, dt) for e in far if e.motion is not None]
@@ -184,7 +184,7 @@ def summarize(episodes: Sequence[Episode], robot: Robot, dt: float) -> dict[str,
 
 
 def why_missing(gait: Mapping[str, float | None], key: str) -> str:
-    """What to say of a metric of ``OF_STRIDES`` that :func:`summarize` found ``None``."""
+    """Return the reason why a metric of ``OF_STRIDES`` is ``None`` in the result of :func:`summarize`."""
     fraction = gait.get("periodic_fraction") or 0.0
     return "too few strides" if key == "floquet_max" and 2 * fraction >= 1 else "not periodic"
 

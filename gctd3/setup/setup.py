@@ -1,4 +1,4 @@
-"""What a training derives from its settings before its first step: built once, and handed on."""
+"""Objects that a training derives from its settings before its first step: built once, and handed on."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 
 class Setup:
-    """A task on a robot, and the networks that go with it.
+    """Hold a task on a robot, and the settings of the networks that go with it.
 
     Args:
         task: The task; it holds the robot and the graph.
         network: Kind and sizes of the networks.
-        privileged_critic: Whether the critics see how near each time-based termination is.
+        privileged_critic: Whether the critics observe how near each time-based termination is.
 
     Raises:
         ConfigError: If the networks do not fit what the task observes.
@@ -45,12 +45,12 @@ class Setup:
 
     @property
     def graph(self) -> KinematicGraph:
-        """Return the graph of what is observed."""
+        """Return the graph of the observation."""
         return self.task.graph
 
     @cached_property
     def reflection(self) -> Reflection:
-        """Return how observations and actions look in the mirror.
+        """Return the reflection of observations and actions in the mirror.
 
         Raises:
             ConfigError: If the task has no mirror image.
@@ -59,7 +59,7 @@ class Setup:
         return self.task.reflection()
 
     def architecture(self, device: torch.device | str = "cpu") -> Architecture:
-        """Return what networks are built from, to lie on ``device``."""
+        """Return the architecture from which networks are built on ``device``."""
         from gctd3.algorithms.base import Architecture  # late: it needs PyTorch
 
         return Architecture(
