@@ -128,9 +128,9 @@ def largest(rates: np.ndarray, impulses: Sequence[float]) -> np.ndarray:
 
 
 def weakest(results: Mapping[str, Any], direction: str) -> float:
-    """Return the largest impulse (N s) that is survived at every phase; NaN if no robot was pushed."""
-    found = [value for value in ((results.get("shoves") or {}).get("largest") or {}).get(direction, ())]
-    return min((math.nan if value is None else value for value in found), default=math.nan)
+    """Return the largest impulse (N s) that is survived at every phase; NaN if nobody was pushed at one of them."""
+    found = ((results.get("shoves") or {}).get("largest") or {}).get(direction, ())
+    return math.nan if not found or None in found else float(min(found))
 
 
 def table(results: Mapping[str, Any]) -> str:

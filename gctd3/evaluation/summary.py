@@ -1,4 +1,4 @@
-"""The gait of many episodes in a table of numbers: every metric of :mod:`.gait_metrics` and :mod:`.gait_effort`."""
+"""The gait of many episodes in a table of numbers: every metric of :mod:`.gait_metrics` and :mod:`.effort`."""
 
 from __future__ import annotations
 

@@ -27,6 +27,9 @@ def test_the_weakest_moment_by_hand():
     results = {"shoves": {"largest": {"forward": [8.0, 2.0, 4.0], "backward": [8.0, None, 4.0]}}}
     assert weakest(results, "forward") == 2.0
     assert math.isnan(weakest({"shoves": None}, "forward"))
+    # Nobody was pushed at one phase, so nothing is known of the weakest, wherever it stands.
+    for values in ([None, 5.0], [5.0, None]):
+        assert math.isnan(weakest({"shoves": {"largest": {"forward": values}}}, "forward"))
 
 
 @pytest.mark.parametrize(
