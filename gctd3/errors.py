@@ -1,4 +1,4 @@
-"""What goes wrong through a user's input, each with a message fit for the command line."""
+"""Errors caused by a user's input, each with a message fit for the command line."""
 
 from __future__ import annotations
 
@@ -7,34 +7,34 @@ from collections.abc import Iterable, Mapping
 
 
 class GCTD3Error(Exception):
-    """Base of the library's errors."""
+    """Group the library's errors under one base class."""
 
 
 class RobotError(GCTD3Error, ValueError):
-    """An MJCF file cannot be used as a robot."""
+    """Report that an MJCF file cannot be used as a robot."""
 
 
 class ConfigError(GCTD3Error, ValueError):
-    """A setting is unknown, of the wrong type or out of range."""
+    """Report that a setting is unknown, of the wrong type or out of range."""
 
 
 class RunError(GCTD3Error, ValueError):
-    """A run directory or checkpoint is missing, incomplete or of another version."""
+    """Report that a run directory or checkpoint is missing, incomplete or of another version."""
 
 
 class NumericalError(GCTD3Error, ArithmeticError):
-    """A number is NaN or infinite where it must not be."""
+    """Report that a number is NaN or infinite where it must be finite."""
 
 
 class ContractError(GCTD3Error, ValueError):
-    """An exported policy is missing or damaged, does not fit its contract, or is of another robot."""
+    """Report that an exported policy is missing or damaged, does not fit its contract, or belongs to another robot."""
 
 
 class ReadingError(GCTD3Error, ValueError):
-    """A policy on a robot refuses to act on what it is given.
+    """Report that a policy on a robot refuses to act on its sensor readings or its network's output.
 
     Attributes:
-        command: What is safe to send to the servos instead: the last command, by the name of the actuator (rad).
+        command: Safe command for the servos instead: the last command, by the name of the actuator (rad).
     """
 
     def __init__(self, message: str, command: Mapping[str, float]) -> None:
@@ -43,19 +43,19 @@ class ReadingError(GCTD3Error, ValueError):
 
 
 class WorkerError(GCTD3Error, RuntimeError):
-    """Workers that collect cannot be started, or do not last."""
+    """Report that workers which collect transitions cannot be started or do not keep running."""
 
 
 class RenderError(GCTD3Error, RuntimeError):
-    """Nothing can be drawn here."""
+    """Report that images or videos cannot be rendered."""
 
 
 class PerformanceWarning(UserWarning):
-    """Something works, by a way that is slower than the one made for it."""
+    """Warn that a computation works, but by a slower way than the one made for it."""
 
 
 def suggest(key: object, known: Iterable[str]) -> str:
-    """``" Did you mean ...?"`` if something like ``key`` is known, else nothing."""
+    """Return ``" Did you mean ...?"`` if a name similar to ``key`` is known, else an empty string."""
     close = difflib.get_close_matches(str(key), list(known), n=1)
     return f" Did you mean {close[0]!r}?" if close else ""
 

@@ -1,4 +1,4 @@
-"""Files that are whole or not there: state as tensors and JSON in one safetensors file, with a checksum.
+"""Files that are written completely or not at all: state as tensors and JSON in one safetensors file, with a checksum.
 
 Nothing here is pickled, so reading a file never runs what it holds.
 """
@@ -19,7 +19,7 @@ import numpy as np
 
 from gctd3.errors import RunError
 
-# What runs on a robot reads files too, and has no PyTorch: it is imported where tensors are.
+# Deployed policies read files too, on robots without PyTorch: it is imported only where tensors are used.
 if TYPE_CHECKING:
     from torch import Tensor
 
@@ -53,7 +53,7 @@ def save_tree(path: Path, tree: Any) -> str:  # noqa: ANN401 - any nesting
 
 
 def load_tree(path: Path) -> Any:  # noqa: ANN401
-    """Read what :func:`save_tree` wrote; tuples come back as lists.
+    """Read the tree that :func:`save_tree` wrote; tuples come back as lists.
 
     Raises:
         RunError: If the file is missing or damaged.
@@ -104,9 +104,9 @@ def _unpack(value: Any, file: Any) -> Any:  # noqa: ANN401
 
 @contextmanager
 def new_directory(path: Path) -> Iterator[Path]:
-    """A directory to fill, which gets the name ``path`` only once it is complete and flushed.
+    """Yield a directory to fill, which is renamed to ``path`` only once it is complete and flushed.
 
-    If the block raises, nothing is left of it.
+    If the block raises, the directory is removed.
     """
     aside = path.with_name(f".{path.name}.tmp")
     shutil.rmtree(aside, ignore_errors=True)
@@ -122,12 +122,12 @@ def new_directory(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file that is the old one or the new one, never a part of it."""
+    """Write a text file atomically: it holds the old content or the new one, never a part of it."""
     write_bytes(path, text.encode())
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """The same of bytes."""
+    """Write a file of bytes atomically, as :func:`write_text` writes text."""
     with new_file(path) as aside:
         aside.write_bytes(content)
         _flush(aside)
@@ -135,9 +135,9 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 @contextmanager
 def new_file(path: Path) -> Iterator[Path]:
-    """A file to write and flush, which gets the name ``path`` only then.
+    """Yield the path of a file to write and flush, which is renamed to ``path`` only afterwards.
 
-    If the block raises, nothing is left of it.
+    If the block raises, the file is removed.
     """
     aside = path.with_name(f".{path.name}.tmp")
     try:
@@ -150,7 +150,7 @@ def new_file(path: Path) -> Iterator[Path]:
 
 
 def write_manifest(directory: Path, content: Mapping[str, Any]) -> None:
-    """Write ``manifest.json``, with a checksum of itself."""
+    """Write ``manifest.json`` with a checksum of its content."""
     path = directory / MANIFEST
     whole = {"sha256": seal(content), "content": content}
     path.write_text(json.dumps(whole, sort_keys=True, indent=1), encoding="utf-8")
@@ -158,7 +158,7 @@ def write_manifest(directory: Path, content: Mapping[str, Any]) -> None:
 
 
 def read_manifest(directory: Path) -> dict[str, Any]:
-    """What :func:`write_manifest` wrote.
+    """Read the content that :func:`write_manifest` wrote, and verify its checksum.
 
     Raises:
         RunError: If it is missing or damaged.
@@ -175,7 +175,7 @@ def read_manifest(directory: Path) -> dict[str, Any]:
 
 
 def seal(content: Mapping[str, Any]) -> str:
-    """SHA-256 of what JSON can hold, whatever the order of its keys."""
+    """Compute the SHA-256 checksum of content that JSON can hold, whatever the order of its keys."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -190,7 +190,7 @@ def check_file(path: Path, expected: str) -> None:
 
 
 def checksum(path: Path) -> str:
-    """SHA-256 of a file."""
+    """Compute the SHA-256 checksum of a file."""
     digest = hashlib.sha256()
     with path.open("rb") as file:
         while block := file.read(BLOCK):

@@ -17,7 +17,7 @@ FOLDER = "runs"
 
 
 def check_keep(runs: Path, out: Path) -> None:
-    """Refuse to keep runs where something is already, or where the next report would find them twice.
+    """Refuse to copy runs to a path that exists already, or to one where the next report would find them twice.
 
     Raises:
         RunError: If so.
@@ -29,12 +29,12 @@ def check_keep(runs: Path, out: Path) -> None:
 
 
 def keep(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = ()) -> None:
-    """Copy to ``out/runs`` what is read of each run; of traces those that are drawn.
+    """Copy the files that are read of each run to ``out/runs``; of the traces only those that are drawn.
 
     Args:
-        groups: The runs.
+        groups: Runs by the name of their group.
         out: Directory of the report.
-        lost: Names of those without a configuration, which get an empty one.
+        lost: Names of runs without a configuration, which get an empty one.
     """
     with new_directory(out / FOLDER) as aside:
         for runs in groups.values():

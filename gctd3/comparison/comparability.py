@@ -1,4 +1,4 @@
-"""Whether runs may be compared: of one task, judged alike, each seed once."""
+"""Checks that runs may be compared: one task, the same evaluation, each seed once."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from gctd3.evaluation.settings import Judging
 from gctd3.runs.judge import EVALUATION, ROBUSTNESS
 from gctd3.training.checkpoint import FOLDER
 
-# What has to be the same for numbers to mean the same, and what it is called.
+# Keys that must be equal for numbers to be comparable, by the name of what they set.
 TOGETHER = {
     "robot": ("robot.name", "robot.feet", "robot.forward"),
     "task": ("task._target_", "task.library", "task.name", "task.control_dt", "task.randomisations", "task.commands"),
     "evaluation reward": ("evaluation.reward",),
     "terminations": ("task.terminations",),
 }
-# How many, and the seed of their starts; None where an evaluation does not say.
+# Number of episodes, and the seed of their starts; None where an evaluation does not say.
 Episodes = tuple[int | None, int | None]
 
 
 def check_together(runs: Sequence[Run]) -> None:
-    """Refuse runs whose numbers do not mean the same.
+    """Refuse runs whose numbers are not comparable.
 
     Raises:
         RunError: If they differ in robot, task, evaluation reward or terminations; it says which, and in what.
@@ -60,11 +60,11 @@ def _spread(sets: Iterable[list[Run]], key: str) -> str:
 
 
 def check_judging(runs: Sequence[Run], judging: Judging) -> None:
-    """Refuse runs that were, or would be, judged over other episodes than most are.
+    """Refuse runs that were, or would be, evaluated over other episodes than most of them.
 
     Args:
         runs: The runs.
-        judging: For those that have no evaluation yet.
+        judging: Settings for the runs that have no evaluation yet.
 
     Raises:
         RunError: If there are such; it says which, and what judges them alike.
@@ -110,7 +110,7 @@ def _said(episodes: int | None, seed: int | None) -> str:
 
 
 def check_seeds(groups: Mapping[str, Sequence[Run]]) -> None:
-    """Refuse groups that have a seed twice, which would count as two.
+    """Refuse groups that contain a seed twice, which would count as two seeds.
 
     Raises:
         RunError: If there is one; it says which, and where.
@@ -119,7 +119,7 @@ def check_seeds(groups: Mapping[str, Sequence[Run]]) -> None:
     for group, runs in groups.items():
         by_seed: dict[tuple[object, object], list[Run]] = {}
         for run in runs:
-            # Other random graphs are other seeds; of other graphs this one says nothing.
+            # Runs with other random graphs count as other seeds; this seed has no effect on graphs that are not random.
             graph = run.config.get("robot.graph_seed") if run.config.get("robot.graph") == "random" else None
             by_seed.setdefault((run.seed, graph), []).append(run)
         for (seed, _), same in by_seed.items():

@@ -1,4 +1,4 @@
-"""What runs had reached when the same wall-clock time was over, as if a time limit had cut them there."""
+"""Results of runs at equal wall-clock time, as if a time limit had ended them there."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import numpy as np
 
 from gctd3.comparison.runs import Run
 
-# Ratio of the times that the same work takes, above which something else took the time.
+# Ratio of the times for the same work, above which something else must have slowed a run down.
 SPREAD = 1.2
 
 
 @dataclass(frozen=True)
 class Limit:
-    """The time at which groups are compared.
+    """Represent the wall-clock time at which groups are compared.
 
     Attributes:
-        seconds: Of wall-clock since a training's beginning.
-        group: Whose trainings take that long.
+        seconds: Wall-clock time since a training's beginning (s).
+        group: Name of the group whose trainings take that long in the median.
         medians: Training time of each group (s), the median of its runs that came to their end; NaN if none did.
     """
 
@@ -31,19 +31,19 @@ class Limit:
 
     @property
     def text(self) -> str:
-        """As ``3.2 min``."""
+        """Return the time as ``3.2 min``."""
         return duration(self.seconds)
 
 
 @dataclass(frozen=True)
 class Reached:
-    """What a run had come to.
+    """Hold the results that a run had reached at a time.
 
     Attributes:
-        return_mean: Of the policy that it would have kept.
-        success_rate: Of the same evaluation; NaN if it is unknown.
-        frames: Collected by then.
-        updates: Done by then.
+        return_mean: Mean return of the policy that it would have kept.
+        success_rate: Success rate in the same evaluation; NaN if it is unknown.
+        frames: Frames collected by then.
+        updates: Updates done by then.
     """
 
     return_mean: float
@@ -53,19 +53,19 @@ class Reached:
 
 
 def duration(seconds: float) -> str:
-    """As ``3.2 min``, or ``3.2 s`` below a minute."""
+    """Format a time as ``3.2 min``, or ``3.2 s`` below a minute."""
     return f"{seconds / 60.0:.1f} min" if seconds >= 60.0 else f"{seconds:.1f} s"
 
 
 def whole_times(runs: Sequence[Run]) -> list[float]:
-    """Training times (s) of the runs that came to their end."""
+    """Return the training times (s) of the runs that came to their end."""
     return [60.0 * run.minutes for run in runs if not run.trouble and math.isfinite(run.minutes)]
 
 
 def uneven(groups: Mapping[str, Sequence[Run]]) -> list[str]:
-    """Groups of which two runs took times for the same frames that are more than ``SPREAD`` apart, and these times.
+    """List groups with two runs whose times for the same frames differ by a factor above ``SPREAD``, with these times.
 
-    Their configurations are the same, so it was the machine: its threads, another program, or a pause.
+    Their configurations are the same, so the machine caused it: its threads, another program, or a pause.
     """
     found = []
     for group, runs in groups.items():
@@ -78,7 +78,7 @@ def uneven(groups: Mapping[str, Sequence[Run]]) -> list[str]:
 
 
 def _same_work(one: Run, other: Run) -> tuple[float, float, float]:
-    """Shorter and longer time (s) of two runs for the frames that both collected, and these; zeros if it is unknown.
+    """Return the shorter and longer time (s) of two runs for the frames both collected, and these; zeros if unknown.
 
     Times are interpolated between evaluations.
     """
@@ -94,7 +94,7 @@ def _same_work(one: Run, other: Run) -> tuple[float, float, float]:
 
 
 def time_limit(groups: Mapping[str, Sequence[Run]]) -> Limit | None:
-    """The shortest of the groups' median training times; ``None`` if fewer than two groups have one.
+    """Return the shortest of the groups' median training times; ``None`` if fewer than two groups have one.
 
     Runs that crashed or were stopped did not take as long as a training does, so they do not count for it.
     """
@@ -110,7 +110,7 @@ def time_limit(groups: Mapping[str, Sequence[Run]]) -> Limit | None:
 
 
 def reached(run: Run, seconds: float) -> Reached | None:
-    """What a run had come to after ``seconds``; ``None`` if it had evaluated no policy yet.
+    """Return the results of a run after ``seconds``; ``None`` if it had evaluated no policy yet.
 
     Trainings are deterministic, so with that time limit a run would have kept the policy which ``stop_when`` ranks
     first of those evaluated until then, the earliest of equals. A run that ended sooner stays as it was. Frames and
@@ -128,6 +128,6 @@ def reached(run: Run, seconds: float) -> Reached | None:
 
 
 def reached_by(groups: Mapping[str, Sequence[Run]], seconds: float) -> dict[str, list[Reached]]:
-    """What each group's runs had come to, those without a policy left out."""
+    """Return the results of each group's runs after ``seconds``; runs without an evaluated policy are left out."""
     found = {group: [reached(run, seconds) for run in runs] for group, runs in groups.items()}
     return {group: [one for one in ones if one is not None] for group, ones in found.items()}

@@ -35,13 +35,13 @@ FILM_COLUMNS = 4  # of a film's PNG
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure and what to say of it.
+    """Hold a figure as HTML with its title and caption.
 
     Attributes:
-        name: Of its files.
-        title: Above it.
-        caption: Below it.
-        body: Of the page, as HTML: an SVG, transparent, in the page's own text colour; or an image.
+        name: Name of its files, without a suffix.
+        title: Title above it.
+        caption: Caption below it.
+        body: HTML for the page: a transparent SVG in the page's own text colour, or images.
     """
 
     name: str
@@ -51,10 +51,10 @@ class Picture:
 
 
 class Gallery:
-    """Draws figures and writes them to a directory.
+    """Save figures to a directory, and make them pictures for the page.
 
     Args:
-        directory: Where to.
+        directory: Directory to write to, made if it is missing.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -62,7 +62,7 @@ class Gallery:
         directory.mkdir(parents=True, exist_ok=True)
 
     def add(self, figure: Figure, name: str, title: str, caption: str) -> Picture:
-        """Save a figure as SVG and PNG, and make it a picture for the page."""
+        """Save a figure as SVG and PNG, and return it as a picture for the page."""
         with matplotlib.rc_context({**STYLE, "svg.hashsalt": name}):
             pixels = io.BytesIO()
             figure.savefig(pixels, format="png", dpi=160, facecolor="white")
@@ -75,7 +75,7 @@ class Gallery:
         return Picture(name, title, caption, inline(shorter(inside.getvalue()), name, title))
 
     def add_film(self, frames: Sequence[tuple[Image.Image, str]], name: str, title: str, caption: str) -> Picture:
-        """Save frames as one PNG, and make them a picture for the page, with each frame's words below it."""
+        """Save frames as one PNG, and return them as a picture for the page, with each frame's words below it."""
         _save_png(sheet([image for image, _ in frames], FILM_COLUMNS), self.directory / f"{name}.png")
         body = "".join(
             f"<div>{_img(image, f'{title}, {words}')}<small>{escape(words)}</small></div>" for image, words in frames
@@ -91,12 +91,12 @@ def _img(image: Image.Image, words: str) -> str:
 
 
 def _save_png(image: Image.Image, file: Path) -> None:
-    # Its colours are few, and a palette makes a third of the file.
+    # A figure has few colours, and a palette reduces the file to a third.
     image.convert("RGB").quantize(PALETTE, dither=Image.Dither.NONE).save(file, optimize=True)
 
 
 def shorter(svg: str) -> str:
-    """An SVG of matplotlib's with the coordinates of its paths to a tenth of a point, not a millionth."""
+    """Reduce the path coordinates of a matplotlib SVG to a tenth of a point, from a millionth."""
     return re.sub(r' d="[^"]*"', lambda path: re.sub(r"-?\d+\.\d{2,}", _tenths, path[0]), svg)
 
 
@@ -105,7 +105,7 @@ def _tenths(number: re.Match[str]) -> str:
 
 
 def inline(svg: str, name: str, title: str) -> str:
-    """An SVG of matplotlib's to stand in a page: sized by it, in its text colour, with ids of its own."""
+    """Convert a matplotlib SVG for use in a page: sized by the page, in its text colour, with ids of its own."""
     body = svg[svg.index("<svg") :].replace(INK, "currentColor")
     body = re.sub(r'<svg [^>]*?viewBox="([^"]*)"[^>]*>', r'<svg viewBox="\1" role="img">', body, count=1, flags=re.S)
     body = re.sub(r"<metadata>.*?</metadata>", f"<title>{escape(title)}</title>", body, flags=re.S)
@@ -117,10 +117,10 @@ def inline(svg: str, name: str, title: str) -> str:
 def curves(
     groups: Mapping[str, Sequence[Run]], x: str, label: str, scale: float = 1.0, mark: float | None = None
 ) -> Figure | None:
-    """Return over ``x``, a column of ``progress.csv``: interquartile mean over seeds and its interval.
+    """Plot the return over ``x``, a column of ``progress.csv``: interquartile mean over seeds and its interval.
 
     Between evaluations lines are straight; past a run's last one its last value stands. ``mark`` is an ``x`` to draw a
-    line at. ``None`` if no run has ``x``.
+    vertical line at. The result is ``None`` if no run has ``x``.
     """
     figure, axes = new()
     ax, found = axes[0, 0], False
@@ -147,7 +147,7 @@ def curves(
 
 
 def performance(groups: Mapping[str, Sequence[Run]]) -> Figure:
-    """Performance profiles: for each return, how many of the runs do better."""
+    """Plot performance profiles: for each return, the share of runs above it."""
     figure, axes = new()
     known = {group: scores(runs, "return_mean") for group, runs in groups.items()}
     every = [score for values in known.values() for score in values]
@@ -165,7 +165,7 @@ def performance(groups: Mapping[str, Sequence[Run]]) -> Figure:
 
 
 def improvements(groups: Mapping[str, Sequence[Run]]) -> Figure | None:
-    """Probability that a run of the first group returns more than one of each other."""
+    """Plot the probability that a run of the first group returns more than one of each other group."""
     names = list(groups)
     known = {group: scores(runs, "return_mean") for group, runs in groups.items()}
     others = [name for name in names[1:] if known[name]]
@@ -186,7 +186,7 @@ def improvements(groups: Mapping[str, Sequence[Run]]) -> Figure | None:
 
 
 def joint_pairs(robot: Robot) -> list[tuple[str, str]]:
-    """Joints of the first leg that has a mirror image, from the hip down, each with its mirror image."""
+    """Return the joints of the first leg with a mirror image, from the hip down, each with its mirror image."""
     for leg in robot.legs:
         pairs = [(joint.name, robot.mirror[joint.name]) for joint in leg if robot.mirror[joint.name] != joint.name]
         if pairs:
@@ -195,7 +195,7 @@ def joint_pairs(robot: Robot) -> list[tuple[str, str]]:
 
 
 def joint_traces(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
-    """Angles of one leg against the other's, over the last seconds."""
+    """Plot the joint angles of one leg against those of its mirror image, over the last seconds."""
     pairs, late = joint_pairs(robot), _late(trace)
     figure, axes = new(len(pairs), height=0.5 + 1.15 * len(pairs), sharex=True)
     for ax, (first, second) in zip(axes[:, 0], pairs, strict=True):
@@ -209,7 +209,7 @@ def joint_traces(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
 
 
 def body_height(groups: Mapping[str, Sequence[Run]]) -> Figure:
-    """Body height over the last seconds of each group's typical run."""
+    """Plot the body height over the last seconds of each group's typical run."""
     figure, axes = new()
     for (group, runs), colour in zip(groups.items(), colours(list(groups)).values(), strict=True):
         run = typical(with_trace(runs))
@@ -224,7 +224,7 @@ def body_height(groups: Mapping[str, Sequence[Run]]) -> Figure:
 
 
 def contacts(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
-    """When each foot is down (Hildebrand 1965), over the last seconds."""
+    """Plot the contacts of each foot with the ground (Hildebrand 1965), over the last seconds."""
     late = _late(trace)
     time = trace["time_s"][late]
     dt = float(time[1] - time[0]) if len(time) > 1 else 0.02
@@ -243,7 +243,7 @@ def contacts(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
 
 
 def phase_portraits(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
-    """Velocity over angle of each joint, right and left, over the last strides: a closed loop repeats itself."""
+    """Plot velocity over angle of each joint, right and left, over the last strides: a closed loop repeats itself."""
     pairs = joint_pairs(robot)
     settled = _late(trace, STRIDES_SECONDS)
     figure, axes = new(1, len(pairs), height=2.4)
@@ -260,12 +260,12 @@ def phase_portraits(trace: Mapping[str, np.ndarray], robot: Robot) -> Figure:
 
 
 def _side(name: str, first: str, second: str) -> str:
-    """What sets a name of two apart."""
+    """Return the words of ``name`` that the two names do not share."""
     return " ".join(word for word in name.split("_") if word not in _shared(first, second).split()) or name
 
 
 def _shared(first: str, second: str) -> str:
-    """What two names have in common."""
+    """Return the words that two names share."""
     return " ".join(word for word in first.split("_") if word in second.split("_")) or first
 
 

@@ -1,4 +1,4 @@
-"""A stride of each group's typical policy in pictures."""
+"""Filmstrips: a stride of each group's typical policy in pictures."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ FRAMES = 8
 SIZE = 256  # pixels of a frame's side
 SEED = 10_000  # of the start, as in evaluations
 BEGIN = 7.0  # m, where gaits have settled
-STRIDE = 0.7  # s, of a gait that has none
+STRIDE = 0.7  # s, for a gait whose stride time is not known
 
 
 def stride_of(run: Run, robot: Robot, camera: str = "side") -> tuple[list[tuple[Image.Image, str]], str, str]:
-    """One stride of a run's policy past the first metres, in equal steps of time.
+    """Draw one stride of a run's policy past the first metres, in equal steps of time.
 
     Returns:
-        The pictures with the time and place of each, what they are, and what to say of them.
+        The pictures with the time and place of each, what they show, and a caption.
 
     Raises:
         RenderError: If it cannot be drawn, whatever the reason.

@@ -11,7 +11,7 @@ from gctd3.comparison.verdict import scores
 from gctd3.evaluation.gait_metrics import circular_mean
 from gctd3.evaluation.summary import why_missing
 
-# Key, name, unit, decimals, what it is.
+# Key, name, unit, decimals, definition.
 GAIT = (
     ("hip_correlation", "hip correlation", "", 2, "of right and left hip angle; -1 when legs take turns"),
     ("stride_frequency", "stride frequency", "Hz", 2, "one over the stride time"),
@@ -48,7 +48,7 @@ ASYMMETRY = "asymmetry_"
 
 
 def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
-    """Every gait metric with its definition: mean over seeds, the lowest and the highest; no row if nobody has any."""
+    """Return the table of gait metrics with their definitions: mean, lowest and highest over seeds; no empty rows."""
     keys = sorted({key for runs in groups.values() for run in runs for key in run.gait if key.startswith(ASYMMETRY)})
     meaning = "RMS against its mirror image half a stride later; 0 is symmetric"
     joints = [(key, f"asymmetry, {key.removeprefix(ASYMMETRY).replace('_', ' ')}", "rad", 3, meaning) for key in keys]
@@ -70,7 +70,7 @@ def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
 
 
 def _gait_cell(runs: Sequence[Run], key: str, digits: int) -> str:
-    """Mean over seeds and range of a metric, and how many seeds lack it for want of strides."""
+    """Return a metric's mean over seeds and range, and how many seeds lack it, with the reason."""
     known = scores(runs, key)
     if key == "phase_offset" and known:
         # Phases go round: 0.98 and 0.02 are neighbours.

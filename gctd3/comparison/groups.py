@@ -1,4 +1,4 @@
-"""Which runs are the same but for their seeds, and what such a group is called."""
+"""Groups of runs that are the same but for their seeds, and the names of these groups."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 from gctd3.comparison.runs import Run
 
-# Of which a group has several.
+# Keys in which the runs of a group may differ: the seeds.
 SEEDS = ("seed", "robot.graph_seed")
-# What makes no difference to what is learnt.
+# Keys that do not affect what is learnt.
 UNIMPORTANT = (
     *SEEDS,
     "logger",
@@ -25,11 +25,11 @@ MOST_KEYS = 3  # in a name
 
 
 def groups_of(runs: Sequence[Run]) -> dict[str, list[Run]]:
-    """Runs whose configurations differ in nothing that matters but the seeds, by name.
+    """Group runs whose configurations are the same but for seeds and keys that do not affect learning, by name.
 
     A group is named after its algorithm; where that is not enough, after the options that it was started with
-    (``experiment=``, ``network=`` and so on), then after the values in which its configuration differs. The graph
-    network's come first, the paper's graph before others, then by name.
+    (``experiment=``, ``network=`` and so on), then after the values in which its configuration differs. Groups of the
+    graph network come first, the paper's graph before others, then by name.
     """
     alike: dict[str, list[Run]] = {}
     for run in runs:
@@ -41,18 +41,18 @@ def groups_of(runs: Sequence[Run]) -> dict[str, list[Run]]:
 
 
 def typical(runs: Sequence[Run]) -> Run | None:
-    """Of the runs that were judged the one whose return is the median one, or just below."""
+    """Return the evaluated run with the median return, or the one just below it; ``None`` without evaluations."""
     known = sorted((run for run in runs if run.evaluation), key=lambda run: run.value("return_mean"))
     return known[(len(known) - 1) // 2] if known else None
 
 
 def with_trace(runs: Sequence[Run]) -> list[Run]:
-    """Those that have a trace."""
+    """Return the runs that have a trace."""
     return [run for run in runs if run.trace is not None]
 
 
 def differences(runs: Sequence[Run]) -> dict[str, list[Any]]:
-    """Keys in which configurations differ, the seeds aside, with each run's value."""
+    """Return the keys in which configurations differ, the seeds aside, with each run's value."""
     keys = sorted({key for run in runs for key in run.config} - set(SEEDS))
     found = {key: [run.config.get(key) for run in runs] for key in keys}
     return {key: values for key, values in found.items() if any(value != values[0] for value in values)}
@@ -75,7 +75,7 @@ def _names(sets: list[list[Run]]) -> list[tuple[list[Run], str]]:
 
 
 def _labelled(sets: list[list[Run]], label: Callable[[Run], str]) -> list[tuple[list[list[Run]], str]]:
-    """Sets of runs by a label of their first run."""
+    """Group sets of runs by a label of their first run."""
     found: dict[str, list[list[Run]]] = {}
     for members in sets:
         found.setdefault(label(members[0]), []).append(members)
@@ -83,16 +83,16 @@ def _labelled(sets: list[list[Run]], label: Callable[[Run], str]) -> list[tuple[
 
 
 def _options_in(sets: list[list[Run]]) -> Callable[[Run], str]:
-    """Says with which options a run was started: its network, and those that not all of ``sets`` were started with."""
+    """Return a function that names the options of a run: its network, and those in which ``sets`` differ."""
     firsts = [members[0] for members in sets]
-    # What is given a value and is no key of the configuration chose an option.
+    # An override whose key is not in the configuration chose an option of a group.
     chosen = {key for run in firsts for key in run.overrides if key not in run.config and key != "algo"}
     telling = sorted(key for key in chosen if len({run.overrides.get(key) for run in firsts}) > 1 or key == "network")
     return lambda run: " ".join(run.overrides[key] for key in telling if key in run.overrides)
 
 
 def _told_apart(label: str, sets: list[list[Run]]) -> list[str]:
-    """A name for each set of runs whose label is the same."""
+    """Return a distinct name for each set of runs with the same label."""
     if len(sets) == 1:
         return [label]
     firsts = [members[0] for members in sets]
@@ -104,7 +104,7 @@ def _told_apart(label: str, sets: list[list[Run]]) -> list[str]:
 
 
 def _natural(name: str) -> list[tuple[bool, float, str]]:
-    """Sorts ``history=3`` before ``history=10``."""
+    """Return a sort key that puts ``history=3`` before ``history=10``."""
     words = [word.rpartition("=")[2] for word in name.split()]
     return [
         (not word.replace(".", "", 1).isdigit(), float(word) if word.replace(".", "", 1).isdigit() else 0.0, word)

@@ -1,4 +1,4 @@
-"""The directory of a report: what may be written over, and a new report in the place of an earlier one."""
+"""The directory of a report: which files may be overwritten, and how a new report replaces an earlier one."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def check_place(out: Path, runs: Path) -> None:
     """Refuse to write a report over something else.
 
     Args:
-        out: Where to write it.
-        runs: Where the runs are, which may be in ``out``.
+        out: Directory to write the report to.
+        runs: Directory of the runs, which may be inside ``out``.
 
     Raises:
         RunError: If ``out`` is no directory, or holds something, but no report.
@@ -43,7 +43,7 @@ def check_place(out: Path, runs: Path) -> None:
 
 @contextmanager
 def in_place(out: Path) -> Iterator[Path]:
-    """A directory to write a report to, which takes the place of an earlier one in ``out`` when it is whole.
+    """Yield a directory to write a report to, which replaces an earlier one in ``out`` once it is complete.
 
     If the block raises, ``out`` stays as it was.
     """

@@ -1,4 +1,4 @@
-"""One page that opens from the disk, on a phone and on a screen, in light and in dark."""
+"""The report's HTML page, which opens from the disk, on a phone and on a screen, in light and in dark."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ td.number { white-space: nowrap; } td.long { min-width: 11rem; }
 
 @dataclass(frozen=True)
 class Row:
-    """Pictures that belong together, beside one another where there is room.
+    """Hold pictures that belong together, shown side by side where the page is wide enough.
 
     Attributes:
-        columns: In each the pictures from top to bottom.
-        wide: Above the columns, as wide as the page.
+        columns: Columns of pictures, each from top to bottom.
+        wide: Pictures above the columns, as wide as the page.
     """
 
     columns: Sequence[Sequence[Picture]]
@@ -63,13 +63,13 @@ class Row:
 
 
 def page(title: str, about: str, sentences: Sequence[str], sections: Sequence[tuple[str, Sequence[object]]]) -> str:
-    """The page's HTML.
+    """Return the page's HTML.
 
     Args:
-        title: Of the page.
-        about: A line below it.
-        sentences: The verdict.
-        sections: Heading of each, and the pictures, tables and notes in it.
+        title: Title of the page.
+        about: Line below the title.
+        sentences: Sentences of the verdict.
+        sections: Heading of each section, and the pictures, tables and notes in it.
     """
     links = "".join(f'<a href="#{_anchor(name)}">{escape(name)}</a>' for name, things in sections if things)
     verdict = "".join(map(_sentence, sentences))
@@ -116,7 +116,7 @@ def _table(table: Table) -> str:
 
 
 def _table_row(cells: dict[str, str]) -> str:
-    """A row whose unit and meaning stand with its name, so that there is room for the numbers."""
+    """Return a table row with unit and meaning in the cell of its name, which leaves room for the numbers."""
     unit, meaning = cells.pop(UNIT, ""), cells.pop(MEANING, "")
     (_, name), *others = cells.items()
     named = _breakable(f"{name}, {unit}" if unit else name)
@@ -129,7 +129,7 @@ def _cell(column: str, text: str) -> str:
         return f'<td class="long">{_breakable(text)}</td>'
     if not re.match(r"[-[]?\d", text):
         return f"<td>{_breakable(text)}</td>"
-    # An estimate; in lines of their own what it ranges over, and how many seeds lack it.
+    # The estimate comes first; its range and the number of seeds that lack it get lines of their own.
     estimate, *more = text.split("; ")
     split = re.fullmatch(r"(\S+) ([(\[].*)", estimate)
     estimate, *more = [*split.groups(), *more] if split else [estimate, *more]
@@ -137,12 +137,12 @@ def _cell(column: str, text: str) -> str:
 
 
 def _breakable(text: str) -> str:
-    """Escaped, and long names may break between their words."""
+    """Escape a text for HTML, and allow line breaks between the words of long names."""
     return re.sub(r"(?<=[A-Za-z\d])([./_=,])(?=[A-Za-z])", r"\1<wbr>", escape(text))
 
 
 def _sentence(text: str) -> str:
-    """A sentence with what it shows in bold, and the numbers behind it plain."""
+    """Return a sentence as a list item with its finding in bold and the numbers behind it plain."""
     parts = text.split(": ", 2)
     if len(parts) < 3 or NOTHING in parts[1]:
         return f"<li>{escape(text)}</li>"

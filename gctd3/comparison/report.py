@@ -31,7 +31,7 @@ def report(settings: ReportSettings) -> Path:
     """Read the runs, evaluate those that have no evaluation, and write the page, its figures and its tables.
 
     Returns:
-        The page.
+        The path of the page.
 
     Raises:
         ConfigError: If a package is missing.
@@ -49,7 +49,7 @@ def report(settings: ReportSettings) -> Path:
     check_seeds(groups_of(runs))
     check_judging(runs, settings)
     runs = evaluated(runs, settings)
-    # The new evaluations' reward among them.
+    # Once more, now that the new evaluations have a reward too.
     check_together(runs)
     if all(run.evaluation is None for run in runs):
         raise RunError(f"None of the {len(runs)} runs below {settings.runs} could be evaluated: {runs[0].failure}")
@@ -65,7 +65,7 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
     """Write the report of runs by group; see :func:`report`.
 
     Args:
-        groups: The runs.
+        groups: Runs by the name of their group.
         out: Directory to write to.
         lost: Names of runs without a configuration.
     """
@@ -145,7 +145,7 @@ def _gaits(groups: Mapping[str, Sequence[Run]]) -> list[object]:
 
 
 def _gait_pictures(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: Gallery) -> list[object]:
-    """Of each group what cannot be shown, and below a stride a row: joints, phase portraits, contacts."""
+    """Return for each group notes on missing pictures, and a row: filmstrip, joints, phase portraits, contacts."""
     from gctd3.comparison.filmstrips import stride_of
     from gctd3.comparison.page import Row
 
@@ -169,7 +169,7 @@ def _gait_pictures(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: G
 def _traces(
     group: str, run: Run | None, robot: Robot, gallery: Gallery
 ) -> tuple[list[Picture], list[Picture], list[str]]:
-    """Contacts; joints and phase portraits; what there is none of."""
+    """Return pictures of the contacts, pictures of joints and phase portraits, and a note if the trace is missing."""
     from gctd3.comparison import figures
 
     if run is None or run.trace is None:

@@ -1,4 +1,4 @@
-"""Runs below a directory: what they are, how they ended, and how they were judged."""
+"""Runs below a directory: their configurations, how they ended, and their evaluations."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from gctd3.training.saved_configuration import CONFIG, OVERRIDES, command_line, 
 from gctd3.training.stop_when import StopWhen
 from gctd3.training.trainer import POST_MORTEM
 
-# All that is read of a run, but for its policy.
+# All files that are read of a run, except its policy.
 READ = (CONFIG, OVERRIDES, *map(Path, (PROGRESS, EVALUATION, TRACE, ROBUSTNESS)), Path(POST_MORTEM) / MANIFEST)
 
 
 @dataclass(frozen=True)
 class Run:
-    """One training and its judgement.
+    """Hold the records of one training and its evaluation.
 
     Attributes:
-        directory: Where it is.
+        directory: Directory of the run.
         name: Its path below the directory that is reported on.
         config: Its configuration by dotted key.
         algorithm: The option of ``algo`` that it was started with.
-        rows: Its evaluations in training, as in ``progress.csv``; what is undefined is left out.
-        evaluation: Its ``evaluation.json``.
+        rows: Its evaluations in training, as in ``progress.csv``; undefined values are left out.
+        evaluation: Content of its ``evaluation.json``.
         trace: Columns of its ``trace.csv``.
-        robustness: Its ``robustness.json``.
-        failure: Why it has no evaluation.
-        trouble: What kept its training from its end.
+        robustness: Content of its ``robustness.json``.
+        failure: Reason why it could not be evaluated.
+        trouble: Reason why its training did not come to its end.
         overrides: The command line that it was started with, by key.
     """
 
@@ -59,27 +59,27 @@ class Run:
 
     @property
     def seed(self) -> int:
-        """Of the training."""
+        """Return the seed of the training."""
         return int(self.config.get("seed", 0))
 
     @property
     def minutes(self) -> float:
-        """From the beginning to its last evaluation, NaN if there was none."""
+        """Return the minutes from the beginning of the training to its last evaluation; NaN without evaluations."""
         return self.rows[-1].get("wall_s", math.nan) / 60.0 if self.rows else math.nan
 
     @property
     def minutes_to_finish(self) -> float:
-        """Until the first evaluation in which every episode reached the finish; NaN if there was none."""
+        """Return the minutes until the first evaluation in which every episode reached the finish, else NaN."""
         return self.finished[0].get("wall_s", math.nan) / 60.0 if self.finished else math.nan
 
     @property
     def finished(self) -> list[Mapping[str, float]]:
-        """Its evaluations in training in which every episode reached the finish."""
+        """Return the evaluations in training in which every episode reached the finish."""
         return [row for row in self.rows if row.get("success_rate", 0.0) >= 1.0]
 
     @property
     def rule(self) -> StopWhen:
-        """By which it ranked its policies."""
+        """Return the rule by which the run ranked its policies."""
         at_least, at_most = (
             {
                 key.rpartition(".")[2]: value
@@ -92,11 +92,11 @@ class Run:
 
     @property
     def gait(self) -> Mapping[str, float | None]:
-        """Of its evaluation; empty if it got nowhere."""
+        """Return the gait metrics of the evaluation; empty if it has none."""
         return (self.evaluation or {}).get("gait") or {}
 
     def value(self, key: str) -> float:
-        """A number of its evaluation, of the gait if it is not at the top; NaN if it is missing or undefined."""
+        """Return a number of the evaluation, else of its gait metrics; NaN if it is missing or undefined."""
         found = (self.evaluation or {}).get(key)
         if found is None:
             found = self.gait.get(key)
@@ -104,7 +104,7 @@ class Run:
 
 
 def find_runs(root: Path) -> list[Run]:
-    """All runs below ``root``, or ``root`` itself, that have a configuration.
+    """Find all runs below ``root``, or ``root`` itself, that have a configuration.
 
     Raises:
         RunError: If there is none, or one cannot be read.
@@ -118,12 +118,12 @@ def find_runs(root: Path) -> list[Run]:
 
 
 def lost_runs(root: Path) -> list[str]:
-    """Names of the runs below ``root`` whose configuration is empty or missing, so that nothing is known of them."""
+    """Return names of runs below ``root`` of which nothing is known: the configuration is empty or missing."""
     return [_name(directory, root) for directory in _directories(root) if not _configured(directory)]
 
 
 def _directories(root: Path) -> list[Path]:
-    """Of runs, by what a run that was killed as it began has at least."""
+    """Find the directories of runs by the files that even a run killed at its beginning leaves."""
     return sorted({found.parent for name in (CONFIG.parent.name, PROGRESS) for found in root.rglob(name)})
 
 
@@ -138,7 +138,7 @@ def _name(directory: Path, root: Path) -> str:
 
 
 def read_run(directory: Path, root: Path) -> Run:
-    """A run and what has been written about it.
+    """Read a run with its configuration, progress and evaluations.
 
     Raises:
         RunError: If one of its files is damaged.
@@ -155,7 +155,7 @@ def read_run(directory: Path, root: Path) -> Run:
 
 
 def _trouble(run: Run) -> str | None:
-    """What a crash left behind, or that the training is not over; ``None`` of one that came to its end."""
+    """Describe the crash of a training or how far it got before it was stopped; ``None`` if it came to its end."""
     if (run.directory / POST_MORTEM).is_dir():
         try:
             return f"crashed: {read_manifest(run.directory / POST_MORTEM)['error']}"
@@ -175,14 +175,14 @@ def _trouble(run: Run) -> str | None:
 
 
 def _reached(run: Run) -> bool:
-    """Whether its last evaluations show what ``stop_when`` asks for."""
+    """Return whether the run's last evaluations meet the conditions of ``stop_when``."""
     wanted = run.config.get("stop_when.evaluations")
     late = run.rows[-wanted:] if wanted else []
     return bool(late) and len(late) == wanted and all(map(run.rule.all_reached, late))
 
 
 def judged(run: Run) -> Run:
-    """The run with its evaluation, trace and robustness, if it has them.
+    """Return the run with its evaluation, trace and robustness, if it has them.
 
     Raises:
         RunError: If one of these is damaged.
@@ -214,7 +214,7 @@ def _robustness(file: Path) -> Mapping[str, Any] | None:
 
 
 def evaluated(runs: Sequence[Run], judging: Judging) -> list[Run]:
-    """The runs, those that had no evaluation now with one, or with the reason why there can be none."""
+    """Evaluate the runs that have no evaluation, and return all; a run that cannot be evaluated holds the reason."""
     missing = [run for run in runs if run.evaluation is None]
     done = {}
     for run in tqdm(missing, desc="evaluating", unit=" run", disable=not missing):
@@ -243,11 +243,11 @@ def _progress(file: Path) -> list[dict[str, float]]:
 
 
 def _rows(file: Path, hint: str) -> list[dict[str, float]]:
-    """Numbers of a CSV file by column, NaN where there is none.
+    """Read the rows of a CSV file as numbers by column, NaN for empty cells.
 
     Args:
         file: The file.
-        hint: What to do if it cannot be read.
+        hint: Advice to the user if it cannot be read.
 
     Raises:
         RunError: If it cannot.

@@ -9,14 +9,14 @@ from gctd3.evaluation.settings import Judging
 
 @dataclass(frozen=True)
 class ReportSettings(Judging):
-    """Set what ``gctd3.report`` compares.
+    """Set the runs that ``gctd3.report`` compares, how it evaluates them, and where it writes.
 
     Attributes:
-        episodes: Episodes of the evaluation of runs that have no evaluation.json; as many as in those that there are.
-        seed: Seed of their starts, likewise.
+        episodes: Episodes for evaluating runs that have no evaluation.json; must equal those of existing evaluations.
+        seed: Seed of the starts of these episodes, likewise.
         runs: Directory below which the runs are: a sweep of gctd3.train -m, or any folder of runs.
         out: Directory to write to: empty, not there yet, or that of an earlier report, which is replaced.
-        keep_runs: Also keep there, as runs, what the numbers were made of (some 10 kB a run): runs=OUT/runs makes the
+        keep_runs: Also copy there, as runs, the data behind the numbers (some 10 kB a run): runs=OUT/runs makes the
             same report.
     """
 

@@ -17,12 +17,12 @@ FEW = 5  # seeds below which an interval says little
 
 @dataclass(frozen=True)
 class Interval:
-    """A number and the 95 % interval around it.
+    """Represent an estimate and the 95 % interval around it.
 
     Attributes:
         value: The estimate.
-        low: Lower end; NaN if there was but one run.
-        high: Upper end.
+        low: Lower end; NaN if there was only one run.
+        high: Upper end, likewise.
     """
 
     value: float
@@ -30,11 +30,11 @@ class Interval:
     high: float
 
     def overlaps(self, other: Interval) -> bool:
-        """Whether some number is inside both; never known of a single run, so that counts as yes."""
+        """Return whether two intervals overlap; true as well if one is unknown, as that of a single run."""
         return not (self.low > other.high or other.low > self.high)
 
     def text(self, digits: int = 1) -> str:
-        """As ``497.2 [470.1, 540.2]``."""
+        """Format the interval as ``497.2 [470.1, 540.2]``."""
         if not np.isfinite(self.value):
             return "undefined"
         if not np.isfinite(self.low):
@@ -43,26 +43,26 @@ class Interval:
 
 
 def iqm(scores: np.ndarray) -> np.ndarray:
-    """Interquartile mean over the first axis: without the lowest and the highest quarter of the runs, rounded down."""
+    """Compute the interquartile mean over the first axis: lowest and highest quarter, rounded down, left out."""
     cut = len(scores) // 4
     return np.asarray(np.sort(scores, axis=0)[cut : len(scores) - cut].mean(axis=0))
 
 
 def intervals(scores: np.ndarray, estimate: Callable[[np.ndarray], np.ndarray] = iqm) -> tuple[np.ndarray, np.ndarray]:
-    """Estimates and their 95 % stratified bootstrap intervals, runs drawn with replacement, by percentiles.
+    """Compute estimates and their 95 % stratified bootstrap intervals by percentiles, runs drawn with replacement.
 
     Args:
         scores: Shape ``[R, K]``: ``R`` runs, ``K`` numbers of each, which stay together.
-        estimate: From ``[R, K]`` to ``[K]``.
+        estimate: Function from ``[R, K]`` to ``[K]``.
 
     Returns:
-        Shapes ``[K]`` and ``[2, K]``, the ends NaN if there is but one run.
+        Estimates and interval ends, shapes ``[K]`` and ``[2, K]``; the ends are NaN if there is only one run.
     """
     if len(scores) < 2:
         return estimate(scores), np.full((2, scores.shape[1]), np.nan)
     with _seeded():
         point, ends = library.get_interval_estimates(
-            # Which runs, not their numbers: rliable would draw anew for each of these.
+            # Indices of runs, not their numbers: rliable would draw runs anew for each number.
             {"all": np.arange(len(scores))[:, None]},
             lambda drawn: estimate(scores[drawn[:, 0]]),
             reps=REPETITIONS,
@@ -71,7 +71,7 @@ def intervals(scores: np.ndarray, estimate: Callable[[np.ndarray], np.ndarray] =
 
 
 def interval(scores: Sequence[float]) -> Interval:
-    """Interquartile mean of one number of each run, those that have none left out."""
+    """Compute the interquartile mean and interval of one number of each run; runs without it are left out."""
     return _interval(tuple(score for score in scores if np.isfinite(score)))
 
 
@@ -85,7 +85,7 @@ def _interval(scores: tuple[float, ...]) -> Interval:
 
 
 def improvement(ours: Sequence[float], theirs: Sequence[float]) -> Interval:
-    """Probability that a run of ours scores higher than a run of theirs, a tie counting half (Mann & Whitney 1947)."""
+    """Estimate the probability that a run of ours outscores one of theirs, ties counting half (Mann & Whitney 1947)."""
     return _improvement(tuple(ours), tuple(theirs))
 
 
@@ -100,19 +100,19 @@ def _improvement(ours: tuple[float, ...], theirs: tuple[float, ...]) -> Interval
 
 
 def higher(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Share of pairs of ``x [R, 1]`` and ``y [S, 1]`` in which ``x`` is higher, ties counting half, shape ``[1]``."""
+    """Return the share of pairs of ``x [R, 1]``, ``y [S, 1]`` with higher ``x``, ties counting half, shape ``[1]``."""
     return np.array([np.mean((x > y.T) + 0.5 * (x == y.T))])
 
 
 def profile(scores: Sequence[float], thresholds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fraction of runs that score above each threshold, with intervals: shapes ``[K]`` and ``[2, K]``."""
+    """Return the fraction of runs that score above each threshold, with intervals: shapes ``[K]`` and ``[2, K]``."""
     above = (np.array(scores)[:, None] > thresholds).astype(float)
     return intervals(above, lambda drawn: np.asarray(drawn.mean(axis=0)))
 
 
 @contextmanager
 def _seeded() -> Iterator[None]:
-    """Let rliable, quietly, draw the same from NumPy's global generator every time, which is left as it was."""
+    """Seed NumPy's global generator for rliable, restore it afterwards, and silence the log of absl."""
     state = np.random.get_state()
     logging.getLogger("absl").setLevel(logging.WARNING)
     np.random.seed(0)

@@ -1,4 +1,4 @@
-"""The report's tables: the paper's Table 5 beside ours, robustness, the runs, what their configurations differ in."""
+"""The report's tables: the paper's Table 5 beside ours, robustness, the runs, differences of their configurations."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ UNIT, MEANING, OUTCOME, DIRECTORY = "unit", "what it is", "outcome", "directory"
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of texts under a head.
+    """Hold a table of texts with a title, a note and a head.
 
     Attributes:
-        name: Of its file.
-        title: Above it.
-        note: Below it.
+        name: Name of its file, without a suffix.
+        title: Title above it.
+        note: Note below it.
         head: Names of the columns.
-        rows: Cells.
+        rows: Rows of cells.
     """
 
     name: str
@@ -48,18 +48,18 @@ class Table:
     rows: Sequence[Sequence[str]]
 
     def csv(self) -> str:
-        """As the text of a CSV file."""
+        """Return the table as the text of a CSV file."""
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows([self.head, *self.rows])
         return text.getvalue()
 
 
 def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: bool) -> Table:
-    """Return, body position from both references, velocity and success, the paper's rows beside ours.
+    """Return the table of return, body position from both references, velocity and success, ours and the paper's.
 
     Args:
-        groups: The runs.
-        robot: Theirs; ``None`` of another library's task, whose body position then counts from nothing known.
+        groups: Runs by the name of their group.
+        robot: Robot of the runs; ``None`` for another library's task, whose body position from spawn is unknown.
         is_biped: Whether it is the paper's robot.
     """
     drop = spawn_height(robot) if robot is not None else np.nan
@@ -106,13 +106,13 @@ def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: b
 
 
 def _episodes(groups: Mapping[str, Sequence[Run]]) -> str:
-    """As ``50 episodes``; a report has as many for all runs."""
+    """Return the number of episodes as ``50 episodes``, or ``episodes`` if it is unknown or differs between runs."""
     found = {run.evaluation.get("episodes") for runs in groups.values() for run in runs if run.evaluation}
     return f"{found.pop()} episodes" if len(found) == 1 and None not in found else "episodes"
 
 
 def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
-    """Return, success, frames and updates that each group had reached at ``limit``."""
+    """Return the table of return, success, frames and updates that each group had reached at ``limit``."""
     columns = (("return_mean", 1.0, 1), ("success_rate", 1.0, 2), ("frames", 1e-3, 1), ("updates", 1e-3, 1))
     rows = []
     for group, known in reached_by(groups, limit.seconds).items():
@@ -144,7 +144,7 @@ def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
 
 
 def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
-    """Success under each condition, and the impulse survived at every phase of the stride.
+    """Return the table of success under each condition, and the impulse survived at every phase of the stride.
 
     Args:
         groups: Results of :meth:`.Examination.results` by group.
@@ -175,7 +175,7 @@ def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table
 
 
 def runs_table(groups: Mapping[str, Sequence[Run]]) -> Table:
-    """A row for each run: time, steps, and how it went."""
+    """Return the table of runs: time, frames, return, success and outcome of each."""
     rows = []
     for group, runs in groups.items():
         for run in runs:
@@ -191,14 +191,14 @@ def runs_table(groups: Mapping[str, Sequence[Run]]) -> Table:
 
 
 def settings_table(groups: Mapping[str, Sequence[Run]]) -> Table:
-    """Keys of the configuration in which groups differ."""
+    """Return the table of keys of the configuration in which groups differ."""
     firsts = [runs[0] for runs in groups.values()]
     rows = [[key, *map(str, values)] for key, values in differences(firsts).items()]
     return Table("settings", "Where configurations differ", "The seed aside.", ("key", *groups), rows)
 
 
 def spawn_height(robot: Robot) -> float:
-    """How far above standing the robot is when an episode begins (m)."""
+    """Return the height of the robot above standing when an episode begins (m)."""
     nothing = np.zeros(robot.model.nv)
     spawn, standing = (robot.base.read(q, nothing)["height"][0] for q in (robot.start_qpos, robot.standing_qpos))
     return float(spawn - standing)
@@ -220,7 +220,7 @@ def _spread(values: Sequence[float], digits: int) -> str:
 
 
 def mean_and_range(values: Sequence[float], digits: int) -> str:
-    """As ``0.50 (0.40 to 0.60)``; ``-`` if there are none."""
+    """Format mean and range as ``0.50 (0.40 to 0.60)``; ``-`` without values."""
     if not len(values):
         return "-"
     mean = f"{np.mean(values):,.{digits}f}"

@@ -1,4 +1,4 @@
-"""What the numbers show, in words: no more than the intervals allow."""
+"""The verdict in words: differences between groups as far as the intervals allow."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from gctd3.comparison.statistics import FEW, Interval, improvement, interval
 from gctd3.training.saved_configuration import CONFIG
 
 MINUTES = "minutes_to_finish"
-# What is compared: key, what it is called, unit, decimals, and what it is called to have more of it.
+# Compared numbers: key, name, unit, decimals, and the words for having more of it.
 COMPARED = (
     ("return_mean", "return", "", 1, "returns more"),
     ("velocity_mean", "velocity", " m/s", 3, "is faster"),
     (MINUTES, "time to the first evaluation in which all episodes finish", " min", 1, "takes longer"),
 )
-# The same once more at equal wall-clock.
+# Numbers compared at equal wall-clock: key, name, decimals, and the words for having more of it.
 AT_LIMIT = (("return_mean", "return", 1, "returns more"), ("success_rate", "success", 2, "finishes more often"))
-# What makes the same training slower or faster.
+# Keys that make the same training slower or faster.
 COMPUTING = ("threads", "env.threads", "device")
 NOTHING = "no difference shown"
 # Ratio of frames or updates from which trainings were not equally long; whole batches make some difference.
@@ -32,21 +32,21 @@ MANY = 5
 
 
 def scores(runs: Sequence[Run], key: str) -> list[float]:
-    """A number of each run that has it."""
+    """Return a number of each run that has it."""
     values = [run.minutes_to_finish if key == MINUTES else run.value(key) for run in runs]
     return [value for value in values if np.isfinite(value)]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One number of two groups of runs.
+    """Hold the comparison of one number between two groups of runs.
 
     Attributes:
         ours: Name of the one group.
-        theirs: Of the other.
-        what: What is compared.
-        finding: What the numbers show.
-        numbers: They themselves; empty if there are none.
+        theirs: Name of the other group.
+        what: Name of the number that is compared.
+        finding: Conclusion from the numbers.
+        numbers: The numbers themselves, as text; empty if a group lacks them.
         shown: The difference, if one is shown, as ``gctd3 returns more than td3``.
     """
 
@@ -59,14 +59,15 @@ class Comparison:
 
     @property
     def text(self) -> str:
-        """As a sentence."""
+        """Return the comparison as a sentence."""
         return f"{self.ours} and {self.theirs}, {self.what}: {self.finding}{': ' * bool(self.numbers)}{self.numbers}."
 
 
 def too_few(ours: int, theirs: int) -> bool:
-    """Whether alike groups of so many runs would in over 5 % of cases have all runs of one above all of the other.
+    """Return whether equal groups of these sizes fully separate by chance in over 5 % of cases.
 
-    Intervals of so few runs reach from the lowest to the highest, so that theirs would not overlap then.
+    Fully separated means that all runs of one group are above all of the other. Intervals of so few runs reach from the
+    lowest to the highest, so that they would not overlap then.
     """
     return 2 / math.comb(ours + theirs, ours) > 0.05
 
@@ -82,12 +83,12 @@ def compare(
     """Compare one number of two groups of runs.
 
     Args:
-        what: What is compared.
-        unit: Of it, with a space before it.
-        digits: Decimals.
-        more: What it is to have more of it.
+        what: Name of the number that is compared.
+        unit: Unit of the number, with a space before it.
+        digits: Decimals of the number.
+        more: Words for having more of it, as ``returns more``.
         ours: Name and numbers of the one group.
-        theirs: Of the other.
+        theirs: Name and numbers of the other group.
     """
     (name, a), (other, b) = ours, theirs
     if not a or not b:
@@ -107,7 +108,7 @@ def compare(
 
 
 def comparisons(groups: Mapping[str, Sequence[Run]], limit: Limit | None) -> list[Comparison]:
-    """The first group against every other: over whole trainings, then at ``limit``; no times if they are uneven."""
+    """Compare the first group with every other, over whole trainings and at ``limit``; no times if uneven."""
     found, timed = [], not uneven(groups)
     first, *others = groups
     for key, what, unit, digits, more in COMPARED:
@@ -130,17 +131,17 @@ def comparisons(groups: Mapping[str, Sequence[Run]], limit: Limit | None) -> lis
 
 
 def _unfinished(names: Iterable[str], groups: Mapping[str, Sequence[Run]]) -> list[str]:
-    """How many seeds of which groups never had an evaluation in which all episodes finish."""
+    """Return how many seeds of each group never had an evaluation in which all episodes finish; no entry for zero."""
     never = {name: sum(not run.finished for run in groups[name]) for name in names}
     return [f"{count} of {len(groups[name])} seeds of {name}" for name, count in never.items() if count]
 
 
 def verdict(groups: Mapping[str, Sequence[Run]], lost: Sequence[str] = ()) -> list[str]:
-    """Sentences: the differences shown, what went wrong, all comparisons, and what to know of them.
+    """Return the verdict in sentences: differences shown, failures, all comparisons, and caveats.
 
     Args:
-        groups: The runs.
-        lost: Names of those without a configuration.
+        groups: Runs by the name of their group.
+        lost: Names of runs without a configuration.
     """
     limit = time_limit(groups)
     compared = comparisons(groups, limit)
@@ -189,7 +190,7 @@ def _outcomes(groups: Mapping[str, Sequence[Run]]) -> list[str]:
 
 
 def _cost(runs: Sequence[Run]) -> str:
-    """As ``; a whole run took 1.6 min in the median (1.5 to 1.8)``; empty if none came to its end, timed."""
+    """Return ``; a whole run took 1.6 min in the median (1.5 to 1.8)``; empty without whole, timed runs."""
     times = whole_times(runs)
     if not times:
         return ""
@@ -199,7 +200,7 @@ def _cost(runs: Sequence[Run]) -> str:
 
 
 def _lengths(groups: Mapping[str, Sequence[Run]]) -> list[str]:
-    """What each group was trained, if that is not the same for all."""
+    """Return a sentence on the frames and updates of each group, if trainings were not equally long."""
     trained = {
         key: {
             group: [run.rows[-1][key] for run in runs if run.rows and key in run.rows[-1]]
@@ -246,7 +247,7 @@ def _at_limit(groups: Mapping[str, Sequence[Run]], limit: Limit | None) -> list[
 
 
 def unlike_machines(groups: Mapping[str, Sequence[Run]]) -> list[str]:
-    """Why wall-clock says little of these runs; empty if nothing is known against it."""
+    """Describe why wall-clock says little about these runs; empty if no uneven times were found."""
     apart = uneven(groups)
     if not apart:
         return []

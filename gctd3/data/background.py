@@ -1,4 +1,4 @@
-"""Waiting for something only so long."""
+"""Run a function in the background, to wait for its result with a time limit."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ T = TypeVar("T")
 
 
 def in_thread(function: Callable[[], T], stays: bool = False) -> Future[T]:
-    """The result to come of a function that runs in a thread, which does not keep the program from ending.
+    """Run a function in a thread that does not keep the program from ending, and return its future.
 
     Args:
-        function: Takes nothing.
+        function: Function without arguments.
         stays: Whether the thread remains when the function has returned. Processes that ask Linux to be told of their
             parent's death (``PR_SET_PDEATHSIG``) end with the thread that began them.
     """

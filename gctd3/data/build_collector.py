@@ -13,14 +13,14 @@ from gctd3.envs.factory import EnvRecipe
 def build_collector(
     settings: InlineSettings | ProcessSettings, recipe: EnvRecipe, steps: int, seed: int, explorer: Explorer
 ) -> InlineCollector | WorkerCollector:
-    """Build what delivers the steps that a training learns from.
+    """Build the collector of the steps that a training learns from.
 
     Args:
-        settings: Where the robots are stepped.
-        recipe: Of the environment of all robots.
+        settings: Settings of the collector: where the robots are stepped.
+        recipe: Recipe of the environment of all robots.
         steps: Control steps of every robot in a batch.
-        seed: Of the environment; that of workers is made of it.
-        explorer: Acts, or is what the workers' explorers are made of.
+        seed: Seed of the environment; the workers' seeds are derived from it.
+        explorer: Explorer that acts, or from which the workers' explorers are made.
     """
     if not isinstance(settings, ProcessSettings):
         return InlineCollector(recipe.make(seed), explorer, steps)

@@ -1,4 +1,4 @@
-"""How the robots try things out: a rhythmic warm-up, then the policy with noise that differs from robot to robot."""
+"""Explore: a rhythmic warm-up, then the policy with noise that differs from robot to robot."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from gctd3.robots.robot import Robot
 
 
 class Rhythm(torch.nn.Module):
-    """Open-loop gaits: every joint follows a sine, and a joint's mirror image follows it half a period later.
+    """Generate open-loop gaits: every joint follows a sine, and its mirror image follows it half a period later.
 
-    Each episode draws a frequency, and for each pair of joints an offset, an amplitude and a phase. It knows nothing of
-    walking but that legs take turns; most draws fall, a few step forward, and those are what the critic starts from.
-    A joint without a mirror image follows its own sine.
+    Each episode draws a frequency, and for each pair of joints an offset, an amplitude and a phase. The only
+    knowledge of walking in it is that legs take turns; most draws fall, a few step forward, and the critic starts from
+    those. A joint without a mirror image follows its own sine.
 
     With ``mutation_share`` the gaits evolve: every robot remembers its gait that got farthest, and that share of new
     gaits are mutations of what a few robots remember, of the farthest among them. So a robot that has to balance,
-    which hardly any draw does, is soon shown gaits that do.
+    which hardly any drawn gait does, soon tries gaits that do.
 
     Args:
         robot: The robot.
-        num_robots: Robots.
+        num_robots: Number of robots.
         frequency: Lowest and highest frequency (Hz).
         control_dt: Control period (s).
         mutation_share: Share of new gaits that descend from others.
@@ -103,18 +103,18 @@ class Rhythm(torch.nn.Module):
         old.copy_(torch.where(mask.reshape(-1, *[1] * (old.ndim - 1)), values, old))
 
     def remember(self, position: Tensor) -> None:
-        """Note how far the robots have got, ``[robots]`` (m), with the gaits that they have."""
+        """Record distance ``[robots]`` (m) and gait of each robot that has got farther than before."""
         farther = position > self.farthest
         self._put("farthest", farther, position)
         for name in self.MUTATION:
             self._put(f"best_{name}", farther, getattr(self, name))
 
     def forward(self, is_init: Tensor, position: Tensor | None = None) -> Tensor:
-        """Actions ``[robots, A]`` of the next step; robots whose episode begins get a new gait first.
+        """Return the actions ``[robots, A]`` of the next step; robots whose episode begins get a new gait first.
 
         Args:
-            is_init: Whose episode begins, bool ``[robots]``.
-            position: Distance walked, ``[robots]`` (m); only mutation_share need it.
+            is_init: Robots whose episode begins, bool ``[robots]``.
+            position: Distance walked, ``[robots]`` (m); needed only with mutation_share.
         """
         if self._heirs and position is not None:
             self.remember(torch.where(is_init, -math.inf, position))
@@ -127,18 +127,18 @@ class Rhythm(torch.nn.Module):
 
 
 class Explorer(TensorDictModuleBase):
-    """The policy that collects: warm-up first, then the actor with noise.
+    """Act as the collecting policy: warm-up first, then the actor with noise.
 
-    Reads what the actor reads and ``"is_init"``, and ``"position"`` if gaits have mutation_share; writes ``"action"``
-    ``[robots, A]``.
+    It reads what the actor reads and ``"is_init"``, and ``"position"`` if ``settings.mutation_share`` is above 0; it
+    writes ``"action"`` ``[robots, A]``.
 
     Args:
         actor: The policy under training.
         robot: The robot.
-        num_robots: Robots, over all of which the noise is spread.
-        settings: Warm-up and noise.
+        num_robots: Number of robots, over all of which the noise is spread.
+        settings: Settings of warm-up and noise.
         control_dt: Control period (s).
-        part: Which of them this one moves, all by default; others move the rest at the same pace.
+        part: Robots that this explorer moves, all by default; other explorers move the rest at the same pace.
 
     Attributes:
         frames: Control steps of all robots so far.
@@ -184,7 +184,7 @@ class Explorer(TensorDictModuleBase):
 
     @property
     def warming_up(self) -> bool:
-        """Whether the policy has not acted yet."""
+        """Return whether the warm-up is still going on: the policy has not acted yet."""
         return int(self.frames) < self.settings.learning_starts
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -206,7 +206,7 @@ class Explorer(TensorDictModuleBase):
         return tensordict
 
     def _noise(self, is_init: Tensor) -> Tensor:
-        """Of unit variance; what is remembered of the last step's ends with the episode."""
+        """Return noise of unit variance; its correlation with the last step's ends with the episode."""
         memory = self.memory * ~is_init
         self.wander = memory * self.wander + (1 - memory**2).sqrt() * torch.randn_like(self.wander)
         return self.wander

@@ -1,4 +1,4 @@
-"""Numbers that are none: found before they are trained on, and kept for whoever looks for the cause."""
+"""Detect NaN and infinite values before training on them; the trainer saves the data for finding the cause."""
 
 from __future__ import annotations
 
@@ -32,6 +32,6 @@ def check_collected(collected: TensorDictBase) -> None:
 
 
 def check_losses(metrics: Mapping[str, Tensor]) -> None:
-    """Raise a :class:`.NumericalError` if a loss, or what else an update reports, is NaN or infinite."""
+    """Raise a :class:`.NumericalError` if a loss, or another metric of an update, is NaN or infinite."""
     for name, value in metrics.items():
         check_finite(name, value)

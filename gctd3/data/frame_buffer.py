@@ -1,4 +1,4 @@
-"""Replay that stores every frame once and stacks histories when a batch is drawn."""
+"""A replay buffer that stores every frame once and stacks histories when a batch is drawn."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gctd3.nn.kernels import stack_frames
 
 
 class FrameBuffer:
-    """A ring of control steps, a row for each step and a column for each robot.
+    """Store control steps in a ring, with a row for each step and a column for each robot.
 
     A row holds the newest frame before its step, so the frame after it is the next row's. Only the last step of an
     episode has no such row: its final frame lies in a table beside the ring, which grows as needed and whose places are
@@ -28,8 +28,8 @@ class FrameBuffer:
         batch_size: Transitions drawn at once.
         history: ``H``, frames in a stack.
         n_step: Rewards summed before the bootstrap.
-        gamma: Their discount.
-        device: Where they are kept and batches made.
+        gamma: Discount of these rewards.
+        device: Device of the transitions and of the batches.
 
     Raises:
         ConfigError: If the capacity is too small for the robots that the first batch brings.
@@ -82,7 +82,7 @@ class FrameBuffer:
 
     @property
     def nbytes(self) -> int:
-        """Memory of what is stored (bytes)."""
+        """Return the memory of the stored frames (bytes)."""
         return sum(tensor.nbytes for tensor in (*self._ring.values(), *self._last.values()))
 
     def extend(self, collected: TensorDictBase) -> None:
@@ -108,7 +108,7 @@ class FrameBuffer:
             self._append(step, following[:, t])
 
     def _newest(self, stack: Tensor) -> Tensor:
-        """The newest frame ``[..., F]`` of a stack ``[..., H * F]``."""
+        """Return the newest frame ``[..., F]`` of a stack ``[..., H * F]``."""
         return stack[..., -(stack.shape[-1] // self.history) :]
 
     def _append(self, step: TensorDictBase, following: TensorDictBase) -> None:
@@ -145,7 +145,7 @@ class FrameBuffer:
 
     @property
     def ready(self) -> int:
-        """Rows that can be drawn.
+        """Return the number of rows that can be drawn.
 
         The newest ``n_step`` lack their future (the very last even its next frame); once rows have been forgotten, the
         oldest ``history - 1`` may lack their past.
@@ -157,10 +157,10 @@ class FrameBuffer:
         return self.history - 1 if self.total > self.filled else 0
 
     def sample(self) -> TensorDictBase:
-        """A batch of ``batch_size`` transitions with stacked histories, drawn uniformly.
+        """Sample a batch of ``batch_size`` transitions with stacked histories uniformly.
 
         Raises:
-            RuntimeError: If there are none yet.
+            RuntimeError: If too few steps are stored to draw from.
         """
         if not self.ready:
             raise RuntimeError(f"The replay holds {self.filled} steps of each robot: too few to draw from.")
@@ -172,7 +172,7 @@ class FrameBuffer:
         return torch.randint(below, (self.batch_size,), device=self.device)
 
     def gather(self, row: Tensor, robot: Tensor) -> TensorDictBase:
-        """The transitions of the given rows and robots, each ``[B]``; batch size ``[B]``."""
+        """Gather the transitions of the given rows and robots, each ``[B]``; batch size ``[B]``."""
         here = row * self.robots + robot
         # The window: up to n steps, ended early by the end of the episode.
         final, reward, place = here, self._at("reward", here), self._at("last", here)
@@ -211,11 +211,11 @@ class FrameBuffer:
         return TensorDict(batch, [len(row)])
 
     def _at(self, key: str, place: Tensor) -> Tensor:
-        """``key`` at places of the ring; a place is its row times the robots, plus the robot."""
+        """Return ``key`` at places of the ring; a place is its row times the robots, plus the robot."""
         return self._flat[key].index_select(0, place)
 
     def _later(self, place: Tensor, rows: int) -> Tensor:
-        """The places ``rows`` after; a negative number is before."""
+        """Return the places ``rows`` later; a negative number is earlier."""
         return (place + rows * self.robots) % (self.rows * self.robots)
 
     def _stack(self, place: Tensor) -> Tensor:
@@ -228,7 +228,7 @@ class FrameBuffer:
         return table.index_select(0, place.clamp(min=0))
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything but the rows themselves, which :meth:`rows_between` gives."""
+        """Return everything but the rows themselves, which :meth:`rows_between` gives."""
         return {
             "total": self.total,
             "filled": self.filled,
@@ -238,7 +238,7 @@ class FrameBuffer:
         }
 
     def rows_between(self, start: int, stop: int) -> dict[str, Tensor]:
-        """Rows ``start`` to ``stop - 1`` of all that were ever appended, shapes ``[stop - start, robots, ...]``.
+        """Return rows ``start`` to ``stop - 1`` of all that were ever appended, shapes ``[stop - start, robots, ...]``.
 
         Raises:
             ValueError: If some are no longer, or not yet, in the ring.
@@ -249,10 +249,10 @@ class FrameBuffer:
         return {key: values[index] for key, values in self._ring.items()}
 
     def load_state_dict(self, state: dict[str, Any], rows: Iterable[tuple[int, dict[str, Tensor]]]) -> None:
-        """Restore :meth:`state_dict`.
+        """Restore the state that :meth:`state_dict` returned.
 
         Args:
-            state: The state.
+            state: State of the buffer.
             rows: The number of the first row and the rows, in order, of every part that was kept.
 
         Raises:

@@ -1,7 +1,7 @@
-"""Collecting beside learning in one process, with a state that can be saved.
+"""Collect and learn in turns in one process, with a state that can be saved.
 
-As :class:`torchrl.collectors.Collector` with ``reset_at_each_iter=False``, which does not give out the state that it
-holds between two batches; without it a run cannot be continued exactly.
+The collector works as :class:`torchrl.collectors.Collector` with ``reset_at_each_iter=False``, which does not give out
+the state that it holds between two batches; without that state a run cannot be continued exactly.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from gctd3.envs.checkpointing import env_state, load_env_state
 
 
 class InlineCollector:
-    """Steps an environment with a policy, a few steps at a time.
+    """Step an environment with a policy, a few steps at a time.
 
     Args:
-        env: Of batch size ``[N]``; it resets its robots one by one.
-        policy: Writes ``"action"``.
+        env: Environment of batch size ``[N]``; it resets its robots one by one.
+        policy: Policy that writes ``"action"``.
         steps: ``T``, control steps in a batch.
     """
 
@@ -32,7 +32,7 @@ class InlineCollector:
         self.latest: TensorDictBase = self._state  # what it was at work on, should that fail
 
     def collect(self) -> TensorDictBase:
-        """The next steps, batch size ``[N, T]``.
+        """Collect the next steps, batch size ``[N, T]``.
 
         Raises:
             NumericalError: If what the policy sees or its action is not finite.
@@ -50,18 +50,18 @@ class InlineCollector:
         return taken[0].unsqueeze(-1) if self.steps == 1 else torch.stack(taken, dim=-1)
 
     def follow(self, policy: TensorDictModuleBase) -> None:
-        """Go on with another policy, from where the robots are."""
+        """Continue with another policy, from the robots' current states."""
         self.policy = policy
 
     def close(self) -> None:
-        """End the environment."""
+        """Close the environment."""
         self.env.close(raise_if_closed=False)
 
     def state_dict(self) -> dict[str, Any]:
-        """Where the robots are and what the policy is about to see."""
+        """Return the state of the environment and the policy's next observation."""
         return {"state": self._state.to_dict(), "env": env_state(self.env)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore :meth:`state_dict`."""
+        """Restore the state that :meth:`state_dict` returned."""
         self._state = TensorDict(state["state"], self.env.batch_size)
         load_env_state(self.env, state["env"])

@@ -1,4 +1,4 @@
-"""Mirrored copies of transitions: the reflection of a robot in its sagittal plane, as a transform of batches."""
+"""Augment batches with mirrored transitions: the reflection of a robot in its sagittal plane, as a transform."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from gctd3.tasks.reflection import Reflection
 
 
 class MirrorAugmentation(Transform):
-    """Replaces the second half of a batch by its reflection in the robot's sagittal plane.
+    """Replace the second half of a batch by its reflection in the robot's sagittal plane.
 
-    A robot whose left and right sides are equal learns the same from both: the reflected transition is as true as
-    the one that was seen.
+    A robot whose left and right sides are equal learns the same from both: the reflected transition is as valid as
+    the observed one.
 
     Args:
-        reflection: How observations, actions and counters look in the mirror.
+        reflection: Reflection of observations, actions and counters.
         history: Frames stacked in the nodes' features.
     """
 
@@ -34,7 +34,7 @@ class MirrorAugmentation(Transform):
             self.register_buffer(f"{name}_sign", torch.from_numpy(table.sign.astype(np.float32)))
 
     def reflect(self, key: str, values: Tensor) -> Tensor:
-        """``values`` (``nodes [B, N, F]``, ``counters [B, C]`` or ``action [B, A]``) of the mirrored robot."""
+        """Reflect ``values`` (``nodes [B, N, F]``, ``counters [B, C]`` or ``action [B, A]``) in the sagittal plane."""
         if key == "nodes":
             flat = values.flatten(-2).index_select(-1, self.nodes_from) * self.nodes_sign
             return flat.reshape(values.shape)

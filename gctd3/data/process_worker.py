@@ -19,7 +19,7 @@ from gctd3.signals import SIGNALS
 
 
 class _Scheme(AnswerHook, SharedMemWeightSyncScheme):
-    """TorchRL's, but it does not wait for ever for a worker that is dead."""
+    """Send weights as TorchRL does, but do not wait for ever for a dead worker."""
 
     def await_answer(self, answers: Any) -> None:  # noqa: ANN401 - a queue
         """Wait for the worker to say that it has the weights, as long as it lives."""
@@ -31,9 +31,10 @@ class _Scheme(AnswerHook, SharedMemWeightSyncScheme):
 
 @contextlib.contextmanager
 def _deaf_children() -> Iterator[None]:
-    """Processes begun meanwhile never hear Ctrl-C and SIGTERM, which go to all of a group.
+    """Shield processes begun meanwhile from Ctrl-C and SIGTERM, which go to a whole process group.
 
-    The learner tells its workers when to end. What this thread does not hear, another one of the process does.
+    The learner tells its workers when to end. Signals that this thread blocks reach another
+    thread of the process.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
@@ -43,7 +44,7 @@ def _deaf_children() -> Iterator[None]:
 
 
 class ProcessWorker(Worker):
-    """One process; made once it is ready."""
+    """Run a worker in a process on this machine; the constructor returns once it is ready."""
 
     def __init__(self, job: Job) -> None:
         with _deaf_children():
@@ -66,25 +67,25 @@ class ProcessWorker(Worker):
 
     @property
     def pid(self) -> int:
-        """Of its process."""
+        """Return the ID of the process."""
         return int(self._collector.procs[0].pid)
 
     def next(self, weights: TensorDictBase) -> TensorDictBase:
-        """Its next batch, ``[robots, steps]``, collected with these weights."""
+        """Return the next batch, ``[robots, steps]``, collected with these weights."""
         self._collector.update_policy_weights_(weights)
         batch = next(self._batches).exclude("collector")
         batch.names = None
         return batch
 
     def kill(self) -> None:
-        """End it at once."""
+        """End the process at once."""
         for process in self._collector.procs:
             with contextlib.suppress(ValueError):  # it is closed
                 process.kill()
         self.close()
 
     def close(self) -> None:
-        """Let it end."""
+        """Let the process end."""
         threads = torch.get_num_threads()
         self._collector.shutdown(timeout=10.0, raise_on_error=False)
         torch.set_num_threads(threads)  # it gives the learner those of its worker

@@ -1,4 +1,4 @@
-"""A Ray cluster to collect on: joined or started, and found fit, before a training begins."""
+"""Join or start a Ray cluster to collect on, and check that it is fit, before a training begins."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gctd3.errors import ConfigError, WorkerError
 ANSWER = 5.0  # s, that a head node may take to accept a connection
 JOIN = 30.0  # s, that joining a cluster may take
 PROBE = 60.0  # s, that the nodes may take to say what is installed on them
-# What learner and workers must have alike: they exchange pickled settings, networks and steps.
+# Packages that learner and workers must have alike: they exchange pickled settings, networks and steps.
 ALIKE = ("gctd3", "torch", "torchrl", "tensordict", "mujoco")
 
 
@@ -96,7 +96,7 @@ def check_room(workers: int, cpus: int, nodes: Mapping[str, int]) -> None:
 
 
 def installed() -> dict[str, str]:
-    """Versions of what learner and workers must have alike."""
+    """Return the installed versions of the packages that learner and workers must have alike."""
     found = {}
     for package in ALIKE:
         with contextlib.suppress(PackageNotFoundError):
@@ -105,7 +105,7 @@ def installed() -> dict[str, str]:
 
 
 def _nodes() -> dict[str, dict[str, Any]]:
-    """The cluster's nodes that have CPUs, by host and number."""
+    """Return the cluster's live nodes that have CPUs, by host and node ID."""
     import ray
 
     return {
@@ -116,7 +116,7 @@ def _nodes() -> dict[str, dict[str, Any]]:
 
 
 def _on_nodes(nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
-    """What is installed on every node, by its name."""
+    """Return the versions of the packages on every node, by its name."""
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 

@@ -14,7 +14,7 @@ from gctd3.data.worker import Job, Worker
 
 
 class RayWorker(Worker):
-    """One actor; the cluster is joined already."""
+    """Run a worker as one actor of a Ray cluster, which is joined already."""
 
     def __init__(self, job: Job) -> None:
         self._collector = RayCollector(
@@ -32,7 +32,7 @@ class RayWorker(Worker):
         self._batches: Iterator[TensorDictBase] | None = None
 
     def next(self, weights: TensorDictBase) -> TensorDictBase:
-        """Its next batch, ``[robots, steps]``, collected with these weights."""
+        """Return the next batch, ``[robots, steps]``, collected with these weights."""
         self._collector.update_policy_weights_(weights)
         if self._batches is None:  # TorchRL warns if there are no weights yet
             self._batches = iter(self._collector)
@@ -41,12 +41,12 @@ class RayWorker(Worker):
         return batch
 
     def kill(self) -> None:
-        """End it at once."""
+        """End the actor at once."""
         for actor in list(self._collector.remote_collectors):
             with contextlib.suppress(Exception):  # there may be no cluster left to ask
                 ray.kill(actor, no_restart=True)
 
     def close(self) -> None:
-        """Let it end."""
+        """Let the actor end."""
         with contextlib.suppress(Exception):
             self._collector.shutdown()

@@ -1,4 +1,4 @@
-"""Replay: n-step transitions, mirrored copies on the way out."""
+"""Replay of n-step transitions, with mirrored copies in the sampled batches."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ ENDS = (("next", "done"), ("next", "terminated"), ("next", "truncated"))
 
 
 class Replay:
-    """Takes what a collector delivers, gives batches for updates.
+    """Store the transitions that a collector delivers, and sample batches for updates.
 
     Args:
         settings: Sizes and options.
         gamma: Discount of the n-step sums.
         history: Frames in an observation.
-        mirror: The reflection, if ``settings.mirror``.
-        device: Where transitions are kept and batches made.
+        mirror: Reflection of batches, if ``settings.mirror``.
+        device: Device of the transitions and of the batches.
     """
 
     def __init__(
@@ -53,39 +53,39 @@ class Replay:
 
     @property
     def ready(self) -> bool:
-        """Whether a batch's worth of transitions can be drawn."""
+        """Return whether a batch's worth of transitions can be drawn."""
         return self.buffer.ready * max(1, self.buffer.robots) >= self.settings.batch_size
 
     def extend(self, collected: TensorDictBase) -> None:
-        """Remember ``collected``, batch size ``[robots, time]``."""
+        """Store ``collected``, batch size ``[robots, time]``."""
         self.buffer.extend(collected)
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove everything that is stored."""
         self.buffer.clear()
 
     def load_state_dict(self, state: dict[str, Any], rows: Iterable[tuple[int, dict[str, Tensor]]]) -> None:
-        """Restore what the buffer's ``state_dict`` gave, and of a :class:`.FrameBuffer` the rows that were kept."""
+        """Restore the state that the buffer's ``state_dict`` returned, and the kept rows of a :class:`.FrameBuffer`."""
         if isinstance(self.buffer, FrameBuffer):
             self.buffer.load_state_dict(state, rows)
         else:
             self.buffer.load_state_dict(state)
 
     def sample(self) -> TensorDictBase:
-        """A batch of ``settings.batch_size`` transitions."""
+        """Sample a batch of ``settings.batch_size`` transitions."""
         batch = self.buffer.sample()
         return batch if self.mirror is None else self.mirror(batch)
 
 
 class StackedBuffer:
-    """TorchRL's replay buffer, with the stacks stored as they came: simple, and six times the memory of frames.
+    """Store stacks as they came in TorchRL's replay buffer: simple, and six times the memory of frames.
 
     Args:
         capacity: Transitions kept.
         batch_size: Transitions drawn at once.
         n_step: Rewards summed before the bootstrap.
-        gamma: Their discount.
-        device: Where they are kept.
+        gamma: Discount of these rewards.
+        device: Device of the transitions.
     """
 
     robots = 1
@@ -103,7 +103,7 @@ class StackedBuffer:
 
     @property
     def ready(self) -> int:
-        """Transitions that can be drawn."""
+        """Return the number of transitions that can be drawn."""
         return len(self.torchrl)
 
     def extend(self, collected: TensorDictBase) -> None:
@@ -117,17 +117,17 @@ class StackedBuffer:
         self.torchrl.extend(steps.reshape(-1))
 
     def sample(self) -> TensorDictBase:
-        """A batch drawn uniformly."""
+        """Sample a batch uniformly."""
         return self.torchrl.sample()
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove everything that is stored."""
         self.torchrl.empty()
         if self._steps is not None:
             set_waiting_steps(self._steps, None)
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that is stored."""
+        """Return everything that is stored."""
         waiting = waiting_steps(self._steps) if self._steps is not None else None
         return {
             "stored": self.torchrl[:].to_dict() if len(self) else None,
@@ -136,7 +136,7 @@ class StackedBuffer:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore :meth:`state_dict`."""
+        """Restore the state that :meth:`state_dict` returned."""
         self.torchrl.empty()
         if state["stored"] is not None:
             stored = TensorDict(state["stored"])

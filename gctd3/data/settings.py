@@ -1,4 +1,4 @@
-"""Settings of exploration, replay and collectors. Light: what they set is imported when it is built."""
+"""Settings of exploration, replay and collectors. Importing them is cheap: what they set is imported when built."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_WORKERS = 10_000
 
 @dataclass(frozen=True)
 class ExplorationSettings:
-    """Set the warm-up and the noise.
+    """Hold the settings of exploration: the warm-up and the noise.
 
     Attributes:
         warmup: ``rhythmic``: a sine for every joint, left and right half a period apart (:class:`.Rhythm`);
@@ -83,7 +83,7 @@ class ExplorationSettings:
 
 @dataclass(frozen=True)
 class ReplaySettings:
-    """Set what is remembered and how it is drawn.
+    """Hold the settings of the replay: what is stored and how it is drawn.
 
     Attributes:
         buffer_size: Transitions kept; the oldest leave first.
@@ -110,30 +110,31 @@ class ReplaySettings:
 
 @dataclass(frozen=True)
 class InlineSettings:
-    """Collect and learn in turns, in one process; nothing to set.
+    """Hold the settings of collecting and learning in turns in one process: nothing to set.
 
     Attributes:
-        chunk: Of every batch of steps, how many are collected at once.
+        chunk: Control steps collected at once, as a multiple of rollout_steps.
     """
 
     chunk: ClassVar[int] = 1
 
     def check_here(self, num_envs: int) -> None:
-        """Nothing of this machine matters."""
+        """Accept any machine and any number of robots."""
 
 
 @dataclass(frozen=True)
 class ProcessSettings:
-    """Set the processes on this machine that step their share of the robots while the learner learns.
+    """Hold the settings of processes on this machine that step the robots while the learner learns.
 
     Attributes:
         workers: Processes, among which env.num_envs robots are divided.
-        cpus: Threads of each, for its simulation and its policy; env.threads does not count.
-        chunk: Control steps between two messages, as a multiple of steps; updates are multiplied as well.
+        cpus: Threads of each process, for its simulation and its policy; env.threads does not count.
+        chunk: Control steps between two messages, as a multiple of rollout_steps; gradient_steps
+            are multiplied as well.
         timeout: Time after which a worker that delivers nothing counts as hung, and is replaced (s).
         start_within: Time that a worker may take to start (s).
-        max_restarts: Failures of a worker in a row, without a batch in between, that are borne; at one more the run
-            ends with a checkpoint.
+        max_restarts: Failures of a worker in a row, without a batch in between, that are tolerated; one more ends the
+            run with a checkpoint.
     """
 
     workers: int = 2
@@ -161,18 +162,18 @@ class ProcessSettings:
             )
 
     def shares(self, num_envs: int) -> list[slice]:
-        """The robots of each worker."""
+        """Return the robots of each worker, as slices."""
         bounds = [num_envs * i // self.workers for i in range(self.workers + 1)]
         return [slice(start, stop) for start, stop in itertools.pairwise(bounds)]
 
 
 @dataclass(frozen=True)
 class RaySettings(ProcessSettings):
-    """Set the workers on a Ray cluster that step the robots while the learner learns.
+    """Hold the settings of workers on a Ray cluster that step the robots while the learner learns.
 
     Attributes:
         workers: Workers, among which env.num_envs robots are divided.
-        cpus: CPUs that each takes of the cluster, for its simulation and its policy; env.threads does not count.
+        cpus: CPUs of the cluster that each worker takes, for its simulation and its policy; env.threads does not count.
         start_within: Time that a worker may take to start, waiting for free CPUs included (s).
         address: ``host:port`` of the cluster's head node; ``auto``: the cluster that runs here; ``None``: one starts
             here and ends with the run.
@@ -187,7 +188,7 @@ class RaySettings(ProcessSettings):
             raise ConfigError(f"address must be host:port, auto or null, got {self.address!r}.")
 
     def check_here(self, num_envs: int) -> None:
-        """Join the cluster, or start it, and check that it can do the work.
+        """Join the cluster, or start it, and check that it can run the workers.
 
         Raises:
             ConfigError: If Ray is not installed, nothing answers at the address, or the CPUs do not suffice.

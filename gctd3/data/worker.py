@@ -1,4 +1,4 @@
-"""What a worker that collects gets, and what it has to do, wherever it is."""
+"""The job and the interface of a collecting worker, wherever it runs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gctd3.envs.factory import EnvRecipe
 
 
 class Policy(TensorDictModuleBase):
-    """An explorer of which only the actor's weights are seen, and so synchronised; noise and gaits are its own."""
+    """Wrap an explorer so that only the actor's weights are synchronised; noise and gaits are its own."""
 
     def __init__(self, explorer: Explorer) -> None:
         super().__init__()
@@ -32,15 +32,15 @@ class Policy(TensorDictModuleBase):
 
 @dataclass(frozen=True)
 class Job:
-    """What one worker has to do.
+    """Describe the job of one worker.
 
     Attributes:
-        share: Its robots.
-        seed: Of its robots' starts and of all that its explorer draws.
+        share: Robots of the worker.
+        seed: Seed of its robots' starts and of all that its explorer draws.
         cpus: Threads that it may use.
         steps: Control steps of every robot in one of its batches.
-        recipe: Of its environment.
-        policy: Acts.
+        recipe: Recipe of its environment.
+        policy: Policy that acts.
     """
 
     share: slice
@@ -52,17 +52,17 @@ class Job:
 
     @property
     def robots(self) -> int:
-        """How many robots it has."""
+        """Return the number of the worker's robots."""
         return int(self.share.stop - self.share.start)
 
     @property
     def frames(self) -> int:
-        """Frames in one of its batches."""
+        """Return the number of frames in one of the worker's batches."""
         return self.robots * self.steps
 
     @property
     def make_env(self) -> Callable[[], EnvBase]:
-        """Makes its environment, where it is."""
+        """Return a function that makes the worker's environment, to be called where the worker runs."""
         return partial(_make_env, self.recipe, self.robots, self.seed, self.cpus)
 
 
@@ -72,19 +72,19 @@ def _make_env(recipe: EnvRecipe, robots: int, seed: int, cpus: int) -> EnvBase:
 
 
 class Worker(ABC):
-    """A remote collector. Its methods block; :meth:`kill` ends them from another thread."""
+    """Represent a remote collector. Its methods block; :meth:`kill` ends them from another thread."""
 
     @abstractmethod
     def next(self, weights: TensorDictBase) -> TensorDictBase:
-        """Its next batch, ``[robots, steps]``, collected with these weights."""
+        """Return the next batch, ``[robots, steps]``, collected with these weights."""
 
     @abstractmethod
     def kill(self) -> None:
-        """End it at once."""
+        """End the worker at once."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let it end."""
+        """Let the worker end."""
 
 
 Launch = Callable[[Job], Worker]

@@ -1,4 +1,4 @@
-"""Collecting beside learning: workers step their shares of the robots while the learner learns.
+"""Collect while learning: workers step their shares of the robots while the learner learns.
 
 Every worker is one of TorchRL's collectors with a single remote worker, so that one that dies or hangs can be replaced
 while the others wait. All of them are asked for their next batch when the last ones are in, with the weights of that
@@ -34,16 +34,16 @@ CLOSE = 20.0  # s, that workers may take to end
 
 @dataclass
 class _Slot:
-    """The place of a worker, and of those that replace it.
+    """Hold the place of a worker, and of those that replace it.
 
     Attributes:
-        index: Its number.
-        share: Its robots.
-        worker: Who is there now; ``None`` while one starts.
-        task: What it is at.
-        held: Its last batch, to be delivered when the next one is there.
+        index: Number of the place.
+        share: Robots of the worker.
+        worker: Current worker; ``None`` while one starts.
+        task: Batch that the worker is collecting.
+        held: Last batch of the worker, to be delivered when the next one is there.
         started: Workers that have been started here.
-        failures: Of these in a row, without a batch in between.
+        failures: Failures in a row, without a batch in between.
     """
 
     index: int
@@ -55,29 +55,29 @@ class _Slot:
     failures: int = 0
 
     def ask(self, weights: TensorDictBase) -> None:
-        """For the next batch, with these weights."""
+        """Ask for the next batch, with these weights."""
         if self.worker is not None:
             self.task = in_thread(partial(self.worker.next, weights))
 
     def cut(self) -> None:
-        """End the episodes of what is held, where they have not ended by themselves."""
+        """End the episodes of the held batch, where they have not ended by themselves."""
         if self.held is not None:
             self.held = cut(self.held)
 
 
 class WorkerCollector:
-    """Delivers what workers collect, all robots side by side.
+    """Deliver the batches that workers collect, all robots side by side.
 
     Args:
-        workers: How many workers there are, and how patient to be.
-        recipe: Of the environment of all robots, of which each worker has a share.
+        workers: Settings of the workers: their number, and the limits on their time and failures.
+        recipe: Recipe of the environment of all robots, of which each worker has a share.
         steps: Control steps of every robot in a batch.
-        seed: Of which the workers' seeds are made.
-        explorer: Of the learner. It does not act, but counts the frames of all; its actor is what workers get.
-        launch: Starts a worker.
+        seed: Seed from which the workers' seeds are derived.
+        explorer: Explorer of the learner. It does not act, but counts the frames of all; workers copy its actor.
+        launch: Function that starts a worker.
 
     Attributes:
-        latest: What was delivered last.
+        latest: Last batch that was delivered.
         replaced: Workers that have been replaced so far.
     """
 
@@ -97,7 +97,7 @@ class WorkerCollector:
         self.replaced = 0
 
     def collect(self) -> TensorDictBase:
-        """The next steps, batch size ``[robots, steps]``.
+        """Return the next steps, batch size ``[robots, steps]``.
 
         Raises:
             WorkerError: If a worker fails too often in a row.
@@ -120,11 +120,11 @@ class WorkerCollector:
         return self.latest
 
     def _weights(self) -> TensorDictBase:
-        """A copy of the actor's weights as they are now, named as :class:`.Policy` has them."""
+        """Copy the actor's current weights, named as :class:`.Policy` has them."""
         return TensorDict.from_module(nn.ModuleDict({"actor": self.explorer.actor})).data.to("cpu").clone()
 
     def _start(self, slot: _Slot) -> concurrent.futures.Future[TensorDictBase]:
-        """Let a new worker start and collect its first batch."""
+        """Start a new worker, which collects its first batch."""
         weights, frames = self._weights(), int(self.explorer.frames)
         # Another seed for every worker that ever starts, in a resumed run too.
         seed = int(np.random.SeedSequence([self.seed, slot.index, slot.started, frames]).generate_state(1)[0])
@@ -147,7 +147,7 @@ class WorkerCollector:
         return slot.task
 
     def _wait(self, slot: _Slot) -> TensorDictBase:
-        """What its worker delivers, or the one that takes its place."""
+        """Wait for the batch of the slot's worker, or of the one that takes its place."""
         while True:
             task = slot.task or self._start(slot)
             limit = self.workers.start_within if slot.worker is None else self.workers.timeout
@@ -177,7 +177,7 @@ class WorkerCollector:
         self._start(slot)
 
     def follow(self, explorer: Explorer) -> None:
-        """Go on with another explorer: with new workers, and without what the old ones have not delivered."""
+        """Continue with another explorer and new workers, and drop the batches that the old ones have not delivered."""
         self.close()
         self.explorer = explorer
         for slot in self._slots:
@@ -198,12 +198,12 @@ class WorkerCollector:
                 process.kill()
 
     def state_dict(self) -> dict[str, Any]:
-        """What has not been delivered yet, all robots side by side; where the robots are is not known."""
+        """Return the batches not delivered yet, all robots side by side; the robots' states are not known."""
         held = [slot.held for slot in self._slots if slot.held is not None]
         return {"held": _beside(held).to_dict() if len(held) == len(self._slots) else None}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore :meth:`state_dict`; the episodes end there, and the robots start anew."""
+        """Restore the state that :meth:`state_dict` returned; the episodes end there, and the robots start anew."""
         if state["held"] is not None:
             held = cut(TensorDict(state["held"]).auto_batch_size_(2))
             for slot in self._slots:
@@ -211,7 +211,7 @@ class WorkerCollector:
 
 
 def cut(batch: TensorDictBase) -> TensorDictBase:
-    """A copy of ``batch``, ``[robots, steps]``, with all episodes ended from outside at its last step."""
+    """Return a copy of ``batch``, ``[robots, steps]``, with all unfinished episodes truncated at its last step."""
     batch = batch.clone()
     following = batch["next"]
     following["truncated"][:, -1] |= ~following["done"][:, -1]
@@ -220,6 +220,6 @@ def cut(batch: TensorDictBase) -> TensorDictBase:
 
 
 def _beside(parts: Sequence[TensorDictBase]) -> TensorDictBase:
-    """The robots of all parts, in their order."""
+    """Join the robots of all parts, in their order."""
     joined: TensorDictBase = torch.cat(tuple(parts))
     return joined

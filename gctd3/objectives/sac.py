@@ -14,9 +14,9 @@ from gctd3.objectives.stacked import StackedLoss, values
 
 
 class SACLoss(StackedLoss, TorchRLSACLoss):
-    """:class:`torchrl.objectives.SACLoss` with the critics' stacked parameters run as one batched module.
+    """Compute :class:`torchrl.objectives.SACLoss` with the critics' stacked parameters run as one batched module.
 
-    Same constructor and keys, same losses and gradients, for any networks and any batch size that TorchRL's takes.
+    Constructor, keys, losses and gradients are the same, for any networks and any batch size that TorchRL's takes.
     Critics whose layers cannot be stacked (:mod:`gctd3.nn.stacking`) are evaluated as TorchRL does; so is, in version 1
     of the algorithm (with a value network), each critic on its share of the batch.
 
@@ -39,12 +39,12 @@ class SACLoss(StackedLoss, TorchRLSACLoss):
         self.vmaps_made()
 
     def vmaps_made(self) -> None:
-        """Take the place of the one that evaluates all critics on the whole batch."""
+        """Replace the ``vmap`` that evaluates all critics on the whole batch."""
         if self.stacked:
             replace_sac_critics(self, self._critics)
 
     def _critics(self, inputs: TensorDictBase, params: TensorDictBase) -> TensorDictBase:
-        """``inputs`` of batch size ``[*]`` to values ``[E, *, 1]``."""
+        """Return the critics' values ``[E, *, 1]`` of ``inputs`` of batch size ``[*]``."""
         if params is self.qvalue_network_params:
             name = "critics"
         elif params is self.target_qvalue_network_params:

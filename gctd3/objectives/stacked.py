@@ -1,4 +1,4 @@
-"""Evaluating a loss's networks without a ``vmap``, and without swapping parameters in and out at every call."""
+"""Evaluate a loss's networks without a ``vmap``, and without swapping parameters in and out at every call."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from gctd3.nn.stacking import obstacles
 
 
 class Networks:
-    """Copies of a loss's networks, each holding one of its sets of parameters for good.
+    """Hold copies of a loss's networks, each with one of its sets of parameters for good.
 
     The copies share the parameters' memory, so optimisers, target updates and ``load_state_dict``, which all write in
-    place, reach them too. Only moving the loss makes new tensors: then :meth:`clear` them.
+    place, reach them too. Only moving the loss makes new tensors: then :meth:`clear` the copies.
     """
 
     def __init__(self) -> None:
@@ -65,7 +65,7 @@ class StackedLoss(compat.LossHooks):
     def decide(
         self, critics: TensorDictModuleBase | Sequence[TensorDictModuleBase], actor: TensorDictModuleBase
     ) -> None:
-        """Look at the networks, after TorchRL's constructor.
+        """Decide from the networks how the critics are evaluated, after TorchRL's constructor.
 
         Args:
             critics: The critics that the loss was made with, or the one that it made several of.
@@ -87,7 +87,7 @@ class StackedLoss(compat.LossHooks):
             )
 
     def parameters_move(self) -> None:
-        """Forget what holds the old ones."""
+        """Forget the copies that hold the old parameters."""
         self._copies.clear()
 
     def more_in_keys(self) -> list[Any]:
@@ -99,12 +99,13 @@ class StackedLoss(compat.LossHooks):
 def output(
     network: TensorDictModuleBase, inputs: TensorDictBase, key: str, replaced: Mapping[Any, Tensor] | None = None
 ) -> Tensor:
-    """Return what ``network`` writes as ``key``, without writing it.
+    """Return the output ``key`` of ``network``, without writing it.
 
     Args:
-        network: Any; one that wraps a single plain module is called on tensors, which spares a TensorDict's overhead.
-        inputs: Holds ``network.in_keys``, batch size ``[*]``; left as it is.
-        key: Of the output.
+        network: Any network; one that wraps a single plain module is called on tensors, which spares a TensorDict's
+            overhead.
+        inputs: Inputs that hold ``network.in_keys``, batch size ``[*]``; left as it is.
+        key: Key of the output.
         replaced: Inputs to take instead of the ones in ``inputs``, by their keys.
     """
     replaced = replaced or {}
@@ -120,8 +121,8 @@ def values(
     """Return the action values of one batch.
 
     Args:
-        critic: One of :func:`gctd3.make_critic`, or any that is declared to take stacked parameters.
-        inputs: Holds ``critic.in_keys``, batch size ``[*]``.
+        critic: Critic of :func:`gctd3.make_critic`, or any that is declared to take stacked parameters.
+        inputs: Inputs that hold ``critic.in_keys``, batch size ``[*]``.
         replaced: Inputs to take instead of the ones in ``inputs``, by their keys.
 
     Returns:
@@ -131,7 +132,7 @@ def values(
 
 
 class FusedSoftUpdate(SoftUpdate):
-    """:class:`torchrl.objectives.SoftUpdate` of all parameters in one call instead of one call for each.
+    """Compute :class:`torchrl.objectives.SoftUpdate` of all parameters in one call instead of one call for each.
 
     Make it after the loss is on its device.
     """

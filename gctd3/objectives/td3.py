@@ -21,16 +21,16 @@ Found = tuple[Tensor, dict[str, Tensor]]
 
 
 class TD3Loss(StackedLoss, TorchRLTD3Loss):
-    """:class:`torchrl.objectives.TD3Loss`, faster, and with critics that may read more than the actor does.
+    """Compute :class:`torchrl.objectives.TD3Loss` faster, and with critics that may read more than the actor does.
 
-    Same constructor and keys, same losses and gradients, for any networks and any batch size that TorchRL's takes. Two
-    differences: critics whose layers can be stacked (:mod:`gctd3.nn.stacking`) run as one batched module (no ``vmap``;
-    the actor's loss evaluates the one critic that it uses, so that ``state_action_value_actor`` is ``[*]`` instead of
-    ``[E, *]``), and the critics' ``in_keys`` are taken from the whole batch, where TorchRL passes on only what the
-    actor reads.
+    Constructor, keys, losses and gradients are the same, for any networks and any batch size that TorchRL's takes, with
+    two differences: critics whose layers can be stacked (:mod:`gctd3.nn.stacking`) run as one batched module (no
+    ``vmap``; the actor's loss evaluates the one critic that it uses, so that ``state_action_value_actor`` is ``[*]``
+    instead of ``[E, *]``), and the critics' ``in_keys`` are taken from the whole batch, where TorchRL passes on only
+    what the actor reads.
 
     TorchRL sets exploration type and recurrent mode around every method that ends in ``loss``. :meth:`of_actor` and
-    :meth:`of_critics` give the same without, for networks of gctd3's layers, which know neither.
+    :meth:`of_critics` give the same losses without setting them, for networks of gctd3's layers, which know neither.
 
     Args:
         actor_network: The deterministic actor.
@@ -48,24 +48,24 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
     ) -> None:
         super().__init__(actor_network, qvalue_network, *args, **kwargs)
         self.decide(qvalue_network, actor_network)
-        # Of an actor that is not known, a copy might differ: it may be set to train or evaluate, or hold a state.
+        # A copy of an unknown actor might differ from it: it may be set to train or evaluate, or hold a state.
         self._known_actor = not obstacles(actor_network)
 
     def actor_loss(self, tensordict: TensorDictBase) -> Found:
-        """Return TorchRL's, of a batch of size ``[*]``: the loss and what else was computed."""
+        """Return TorchRL's actor loss of a batch of size ``[*]``, and further values that were computed."""
         return self._of_actor(tensordict)
 
     def value_loss(self, tensordict: TensorDictBase) -> Found:
-        """Return TorchRL's, of a batch of size ``[*]``: the loss and what else was computed."""
+        """Return TorchRL's critic loss of a batch of size ``[*]``, and further values that were computed."""
         return self._of_critics(tensordict)
 
     def of_actor(self, tensordict: TensorDictBase) -> Found:
-        """Return minus the first critic's value of the actor's action (equation below 11 of the paper)."""
+        """Return the actor's loss: minus the first critic's value of its action (equation below 11 of the paper)."""
         fast = self.stacked and self._known_actor
         return self._of_actor(tensordict) if fast else self.actor_loss(tensordict)
 
     def of_critics(self, tensordict: TensorDictBase) -> Found:
-        """Return both critics' distance from the target of equation 9."""
+        """Return the critics' loss: both critics' distance from the target of equation 9."""
         fast = self.stacked and self._known_actor
         return self._of_critics(tensordict) if fast else self.value_loss(tensordict)
 
@@ -102,7 +102,7 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
         }
 
     def _following(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The state after each transition; what does not change with it may stand beside ``"next"`` only."""
+        """Return the state after each transition; keys that do not change with it may stand beside ``"next"`` only."""
         following = tensordict.get("next")
         if self.stacked and self._known_actor:
             needed = {*self.actor_network.in_keys, *self.qvalue_network.in_keys} - {self.tensor_keys.action}
@@ -113,7 +113,7 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
     def _act(
         self, name: str, inputs: TensorDictBase, params: Callable[[], TensorDictBase]
     ) -> tuple[Tensor, TensorDictBase]:
-        """The actions in ``inputs``, and what critics see there: all of it, and what else the actor wrote."""
+        """Return the actions in ``inputs``, and the critics' inputs there, with all else that the actor wrote."""
         actor, action = self.actor_network, self.tensor_keys.action
         if self.stacked and self._known_actor:
             return output(self._copies.get(name, actor, params), inputs, action), inputs
@@ -124,7 +124,7 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
     def _values(
         self, name: str, inputs: TensorDictBase, params: Callable[[], TensorDictBase], action: Tensor | None = None
     ) -> Tensor:
-        """All critics' values ``[E, *]``, of ``action`` or of that in ``inputs``."""
+        """Return all critics' values ``[E, *]``, of ``action`` or of that in ``inputs``."""
         critics, key = self.qvalue_network, self.tensor_keys.action
         replaced = {} if action is None else {key: action}
         if self.stacked:

@@ -1,4 +1,4 @@
-"""What a run leaves behind to be continued, judged and shipped: checkpoints that are whole or not there.
+"""Write and read the checkpoints with which a run is continued, evaluated and shipped, each of them whole or absent.
 
 ``checkpoints/step-FRAMES`` holds the whole state of a training but the replay's rows, which lie once for all
 checkpoints in ``checkpoints/replay``; ``checkpoints/best-FRAMES`` holds the best policy. Every file has a checksum.
@@ -42,7 +42,7 @@ PACKAGES = ("gctd3", "torch", "torchrl", "tensordict", "mujoco", "dm-control", "
 
 
 def versions(more: Iterable[str] = ()) -> dict[str, str]:
-    """Of the packages that a result depends on, and of ``more``."""
+    """Return the versions of the packages that a result depends on, and of ``more``."""
     found = {}
     for package in (*PACKAGES, *more):
         with contextlib.suppress(PackageNotFoundError):
@@ -51,12 +51,12 @@ def versions(more: Iterable[str] = ()) -> dict[str, str]:
 
 
 class Checkpoints:
-    """The checkpoints of a run.
+    """Write and read the checkpoints of a run.
 
     Args:
         run: The run's directory.
-        keep: How many of the newest to keep.
-        about: What every manifest says besides: the configuration, the graph.
+        keep: Number of the newest checkpoints to keep.
+        about: Further content of every manifest: the configuration, the graph.
     """
 
     def __init__(self, run: Path, keep: int = 2, about: Mapping[str, Any] | None = None) -> None:
@@ -64,12 +64,12 @@ class Checkpoints:
         self.about = dict(about or {})
 
     def save(self, frames: int, state: Mapping[str, Any], replay: FrameBuffer | StackedBuffer) -> None:
-        """Write a checkpoint, then drop the ones before the newest ``keep``.
+        """Write a checkpoint, then delete the ones before the newest ``keep``.
 
         Args:
             frames: Frames collected so far; names and orders the checkpoints.
-            state: Of everything but the replay.
-            replay: What is remembered. Of a :class:`.FrameBuffer` only the rows are written that no checkpoint has.
+            state: State of everything but the replay.
+            replay: Replay buffer. Of a :class:`.FrameBuffer` only the rows are written that no checkpoint has.
         """
         target = self.directory / f"step-{frames:012d}"
         if target.exists():
@@ -81,7 +81,7 @@ class Checkpoints:
         self._drop()
 
     def save_best(self, frames: int, policy: TensorDictModuleBase, metrics: Mapping[str, float]) -> None:
-        """Write a policy that is better than those before, and drop those."""
+        """Write a policy that is better than those before, and delete those."""
         target = self.directory / f"best-{frames:012d}"
         if not target.exists():
             with self._room(), new_directory(target) as aside:
@@ -93,7 +93,7 @@ class Checkpoints:
                 shutil.rmtree(other)
 
     def newest(self) -> tuple[dict[str, Any], Iterator[tuple[int, dict[str, Tensor]]]] | None:
-        """State and replay rows of the newest checkpoint that is whole; ``None`` if there is no checkpoint.
+        """Return state and replay rows of the newest checkpoint that is whole; ``None`` if there is no checkpoint.
 
         A damaged one is passed over, with a line on stderr.
 
@@ -118,10 +118,10 @@ class Checkpoints:
         return None
 
     def best(self) -> Path:
-        """The best policy's directory.
+        """Return the best policy's directory.
 
         Raises:
-            RunError: If there is none.
+            RunError: If no policy has been written.
         """
         self._refuse_other_formats()
         found = sorted(path for path in self.directory.glob("best-*") if (path / MANIFEST).is_file())
@@ -131,7 +131,7 @@ class Checkpoints:
         return found[-1]
 
     def forget_after(self, frames: int) -> None:
-        """Drop what is of a later moment than ``frames``, damaged or not: continuing from there makes it again."""
+        """Delete checkpoints and policies later than ``frames``, damaged or not: continuing there makes them again."""
         for path in (*self.directory.glob("step-*"), *self.directory.glob("best-*")):
             if int(path.name.partition("-")[2]) > frames:
                 shutil.rmtree(path)
@@ -141,7 +141,7 @@ class Checkpoints:
         return {"format": FORMAT, "frames": frames, "versions": versions(), "files": dict(files), **self.about, **more}
 
     def _save_rows(self, buffer: FrameBuffer) -> list[dict[str, Any]]:
-        """Write the rows that are new; the parts that hold all rows of the ring, in order."""
+        """Write the new rows, and return the parts that hold all rows of the ring, in order."""
         folder = self.directory / REPLAY
         folder.mkdir(parents=True, exist_ok=True)
         oldest = buffer.total - buffer.filled
@@ -155,7 +155,7 @@ class Checkpoints:
         return parts
 
     def _parts(self) -> list[dict[str, Any]]:
-        """Parts of the replay that the newest checkpoint names."""
+        """Return the parts of the replay that the newest checkpoint names."""
         for path in sorted(self.directory.glob("step-*"), reverse=True):
             with contextlib.suppress(RunError):
                 return list(read_manifest(path)["replay"])
@@ -195,7 +195,7 @@ class Checkpoints:
 
 
 def checked(path: Path) -> dict[str, Any]:
-    """The manifest of a checkpoint or policy, once its format and its files are found right.
+    """Return the manifest of a checkpoint or policy after checking its format and its files.
 
     Raises:
         RunError: If it is damaged, or of another format.
@@ -212,7 +212,7 @@ def checked(path: Path) -> dict[str, Any]:
 
 
 def fit(path: Path, load: Callable[[], object]) -> None:
-    """Call ``load``; what a file holds that does not fit is a :class:`RunError` that names the file."""
+    """Call ``load``, and raise a :class:`RunError` that names the file if its content does not fit."""
     try:
         load()
     except RunError:

@@ -1,4 +1,4 @@
-"""Where tensors live and are computed."""
+"""Check and choose the device on which tensors are stored and computed."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ def check_index(name: str) -> None:
 
 
 def pick_device(name: str) -> torch.device:
-    """The device of that name, or the CPU, after a line on stderr that says why, if there is no GPU.
+    """Return the device of that name, or the CPU, after a line on stderr that says why, if there is no GPU.
 
     Raises:
-        ConfigError: If the name is none, or there are GPUs but not this one.
+        ConfigError: If the name is invalid, or there are GPUs but not this one.
     """
     import torch
 

@@ -1,4 +1,4 @@
-"""Where a training is."""
+"""The progress of a training."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 @dataclass
 class Counters:
-    """Where a training is.
+    """Count the progress of a training.
 
     Attributes:
         frames: Control steps of single robots so far.
-        updates: Of the networks.
+        updates: Updates of the networks.
         episodes: Episodes that ended.
         diverged: Episodes that ended because the simulation did not stay finite.
         in_a_row: Evaluations in a row that met all conditions.
-        restarts: Times that it began again.
-        promising: Frames at which it began (again), or at which an evaluation last met all conditions.
-        next_evaluation: Frames at which the next one is due.
+        restarts: Times that the training began again with new weights.
+        promising: Frames at which the training began (again), or at which an evaluation last met all conditions.
+        next_evaluation: Frames at which the next evaluation is due.
         wall_s: Seconds spent, before and after every resumption together.
     """
 

@@ -1,4 +1,4 @@
-"""All random generators of a training at once: seeded, saved, restored."""
+"""Seed, save and restore all random number generators of a training at once."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import torch
 
 
 def seed_all(seed: int) -> None:
-    """Seed Python's, NumPy's and PyTorch's."""
+    """Seed the random number generators of Python, NumPy and PyTorch."""
     random.seed(seed)
     np.random.seed(seed)
     torch.manual_seed(seed)
 
 
 def random_state(device: torch.device) -> dict[str, Any]:
-    """Their states; of the GPUs too if ``device`` is one."""
+    """Return the states of the random number generators; of the GPUs too if ``device`` is one."""
     return {
         "python": random.getstate(),
         "numpy": np.random.get_state(),
@@ -27,7 +27,7 @@ def random_state(device: torch.device) -> dict[str, Any]:
 
 
 def load_random_state(state: dict[str, Any], device: torch.device) -> None:
-    """Restore :func:`random_state`."""
+    """Restore the states that :func:`random_state` returned."""
     version, words, gauss = state["python"]
     random.setstate((version, tuple(words), gauss))
     np.random.set_state(tuple(state["numpy"]))

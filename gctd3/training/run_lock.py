@@ -15,7 +15,7 @@ LOCK = ".lock"
 
 @contextlib.contextmanager
 def only_one(run: Path) -> Iterator[None]:
-    """Hold the directory of a run; the system lets go of it when the process ends, however it ends.
+    """Lock the directory of a run; the system releases it when the process ends, however it ends.
 
     Raises:
         RunError: If another training holds it.

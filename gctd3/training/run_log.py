@@ -25,11 +25,11 @@ PROJECT = "gctd3"  # what wandb's project and mlflow's experiment are called
 
 
 class RunLog:
-    """Rows and scalars of a run. A context manager, at whose end the logger's run ends too.
+    """Log rows and scalars of a run; as a context manager, end the logger's run too.
 
     Args:
-        directory: Where to write.
-        kind: ``csv``, ``tensorboard``, ``wandb``, ``mlflow`` or ``none``.
+        directory: Directory to write to.
+        kind: Kind of logger: ``csv``, ``tensorboard``, ``wandb``, ``mlflow`` or ``none``.
 
     Raises:
         ConfigError: If the logger's package is not installed, or it cannot begin.
@@ -61,13 +61,13 @@ class RunLog:
         self.scalars(judged, metrics["frames"])
 
     def scalars(self, values: Mapping[str, float], frames: float) -> None:
-        """Give values to the logger."""
+        """Log scalar values after ``frames`` frames."""
         if self._logger is not None:
             for name, value in values.items():
                 self._logger.log_scalar(name, value, step=int(frames))
 
     def clip(self, frames: Sequence[Image.Image], fps: float, step: int) -> None:
-        """Keep a film of the policy evaluated at ``step``, and give it to the logger if that takes films."""
+        """Save a film of the policy evaluated at ``step``, and log it if the logger takes films."""
         path = self.directory / VIDEOS / f"{step:012d}.mp4"
         path.parent.mkdir(exist_ok=True)
         write_animation(path, iter(frames), fps)
@@ -94,7 +94,7 @@ class RunLog:
             mlflow.log_artifact(str(path), VIDEOS)
 
     def restore(self, rows: list[dict[str, Any]], frames: int) -> None:
-        """Go back to the moment of ``rows``, after ``frames`` frames: what was written later is taken away."""
+        """Restore ``rows``, and drop values later than ``frames`` from progress.csv, csv and TensorBoard."""
         self.rows = list(rows)
         self._write()
         if self.kind == "csv":
@@ -125,7 +125,7 @@ def _step(line: str) -> float:
 
 
 def make_logger(kind: str, directory: Path) -> Logger | None:
-    """A TorchRL logger that writes below ``directory``; mlflow's writes where ``MLFLOW_TRACKING_URI`` says.
+    """Make a TorchRL logger that writes below ``directory``; mlflow's writes where ``MLFLOW_TRACKING_URI`` says.
 
     Raises:
         ConfigError: If its package is not installed, or it cannot begin.
@@ -152,7 +152,7 @@ def make_logger(kind: str, directory: Path) -> Logger | None:
 def _mlflow(directory: Path) -> Logger:
     import mlflow
 
-    # What it says of making a database.
+    # Hide its messages about making a database.
     for name in ("mlflow.store.db.utils", "alembic.runtime.migration"):
         logging.getLogger(name).setLevel(logging.WARNING)
     logger = MLFlowLogger(exp_name=PROJECT, tracking_uri=mlflow.get_tracking_uri())
@@ -161,7 +161,7 @@ def _mlflow(directory: Path) -> Logger:
 
 
 def _name(directory: Path) -> str:
-    """Of a run among others."""
+    """Return the name of a run among others."""
     here = Path.cwd()
     return str(directory.relative_to(here) if directory.is_relative_to(here) else directory.name)
 

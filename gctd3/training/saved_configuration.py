@@ -50,12 +50,12 @@ _ELSEWHERE = ("--config-dir", "-cd", "hydra.searchpath")  # where other options 
 
 
 def find_run(run: str | Path | None) -> Path:
-    """The directory of a run; of the walking biped that ships with the library if it is ``None``."""
+    """Return the directory of a run; of the walking biped that ships with the library if ``run`` is ``None``."""
     return Path(run) if run is not None else Path(str(resources.files("gctd3.models"))) / "biped" / "policy"
 
 
 def load_config(run: str | Path) -> DictConfig:
-    """The resolved configuration of a run.
+    """Load the resolved configuration of a run.
 
     Raises:
         RunError: If ``run`` is not the directory of a run.
@@ -76,7 +76,7 @@ def load_config(run: str | Path) -> DictConfig:
 
 
 def load_settings(run: str | Path) -> TrainSettings:
-    """The settings that a run was started with.
+    """Load the settings that a run was started with.
 
     Raises:
         RunError: If ``run`` is not the directory of a run, or one of another version.
@@ -101,12 +101,12 @@ def save_config(run: Path, config: DictConfig, overrides: Sequence[str]) -> None
 
 
 def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig, list[str]]:
-    """The configuration with which a run is to be continued, and the command line that describes it.
+    """Return the configuration with which a run is to be continued, and the command line that describes it.
 
     Args:
-        run: Its directory.
+        run: Directory of the run.
         root: Name of the root YAML.
-        overrides: Of the new command line.
+        overrides: Overrides of the new command line.
 
     Raises:
         RunError: If they would change what the run is; the message lists the differences.
@@ -133,10 +133,10 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
 
 
 def choices(run: Path, arguments: Sequence[str]) -> list[str]:
-    """The options that a run's command line chose of groups that ``arguments`` leave alone.
+    """Return the options that a run's command line chose of groups that ``arguments`` leave alone.
 
-    Their keys are known to Hydra only with them: ``collector.workers`` is there with ``collector=process``. Options of
-    one's own are found only if ``arguments`` say where; the run has kept what they say.
+    Hydra knows the keys of an option only with it: ``collector.workers`` exists with ``collector=process``. Custom
+    options are found only if ``arguments`` name their directory; the run has kept their content.
 
     Raises:
         RunError: If the run does not say.
@@ -148,8 +148,8 @@ def choices(run: Path, arguments: Sequence[str]) -> list[str]:
 
 
 def _composed(root: str, overrides: list[str]) -> tuple[DictConfig, list[str]]:
-    """What a run's overrides make, without options of one's own that are not found here: the run has what they said."""
-    # Where Hydra looks for YAMLs is for one's own command line to say: what they name is imported.
+    """Compose a run's overrides, without custom options that are not found here: the run has kept their content."""
+    # Only the user's own command line may say where Hydra looks for YAMLs: the classes that they name are imported.
     overrides = [item for item in overrides if not item.lstrip("+~").startswith("hydra")]
     try:
         return compose(root, overrides), overrides
@@ -159,7 +159,7 @@ def _composed(root: str, overrides: list[str]) -> tuple[DictConfig, list[str]]:
 
 
 def command_line(run: Path) -> list[str]:
-    """The command line that a run came from.
+    """Return the command line that a run came from.
 
     Raises:
         RunError: If the run does not say.
@@ -178,7 +178,7 @@ def _harmless(key: str) -> bool:
 
 
 def flat(config: DictConfig, prefix: str = "") -> dict[str, object]:
-    """Values by their dotted path; lists count as values."""
+    """Return the values of a configuration by their dotted path; lists count as values."""
     found: dict[str, object] = {}
     for key in map(str, config):
         mapping = stored_mapping(config, key)

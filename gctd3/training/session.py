@@ -22,7 +22,7 @@ LOG = "log.txt"  # what runs that are side by side print
 
 
 def train(config: DictConfig) -> float:
-    """Check the configuration, train, say what was reached.
+    """Check the configuration, train a policy and report the result.
 
     Returns:
         The return of the best policy, for a sweeper to maximise; NaN if none was evaluated.
@@ -88,7 +88,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
 
 @contextlib.contextmanager
 def _output(run: Path, stop: StopRequest) -> Iterator[None]:
-    """Where a run prints to: of runs side by side nobody could tell whose line is whose."""
+    """Redirect the output of a run beside others to its log: nobody could tell whose line is whose."""
     if stop.file is None:
         yield
         return
@@ -106,7 +106,7 @@ def _value(best: dict[str, float] | None) -> float:
 
 
 def _summary(best: dict[str, float] | None, run: Path, walks: bool) -> str:
-    """What was reached and how to look at it; only the walking task can be drawn."""
+    """Return the best evaluation and how to look at the policy; only the walking task can be drawn."""
     judge = f"\nJudge it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
     judge += f"\nWatch it walk:  python -m gctd3.view run={run}" if walks else ""
     return f"\n{_said(best)}{judge if best is not None else ''}"

@@ -1,4 +1,4 @@
-"""Everything that a training is determined by."""
+"""Settings of a training, which determine it."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from gctd3.training.stop_when import StopWhen
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """Set how training judges its policy.
+    """Hold the settings of the evaluations during training.
 
     Attributes:
         every: Frames between evaluations; there is one at the end in any case, so it may exceed the training.
-        episodes: Episodes of each.
-        seed: Seed of their starts, the same every time; not the training's.
-        reward: Reward under which they are judged.
+        episodes: Episodes of each evaluation.
+        seed: Seed of the episodes' starts, the same every time; not the training's.
+        reward: Reward under which policies are evaluated.
     """
 
     reward: Reward
@@ -44,12 +44,12 @@ class EvaluationSettings:
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """Set everything that a training is determined by.
+    """Hold all settings that determine a training.
 
     Attributes:
         robot: Robot and graph.
-        task: What is asked of the robot.
-        env: Where and how many robots are stepped.
+        task: Task of the robot.
+        env: Simulation of the robots: where and how many are stepped.
         reward: Reward for which the policy trains.
         algo: Algorithm.
         network: Networks.
@@ -61,13 +61,13 @@ class TrainSettings:
         seed: Seed of networks, exploration, replay and starts.
         total_frames: Frames (control steps of single robots) to collect at most.
         total_episodes: Episodes to train at most, counted as they end; ``None`` for any number.
-        time_limit: Time after which this session of the run ends with a checkpoint, to be continued (min); ``None``:
-            none.
+        time_limit: Time after which this session of the run ends with a checkpoint, to be continued (min); ``None``
+            for no limit.
         rollout_steps: Control steps of every robot between updates.
-        gradient_steps: Updates after those.
+        gradient_steps: Updates of the networks after every rollout_steps.
         device: Device of networks and replay: cpu, cuda, cuda:1, ...; without a GPU it falls back to the CPU and says
             so. Robots are on the CPU.
-        threads: CPU threads of PyTorch; ``None`` for as many as it likes.
+        threads: CPU threads of PyTorch; ``None`` for PyTorch's default.
         logger: Logger of curves, besides progress.csv: csv, tensorboard, wandb, mlflow (where MLFLOW_TRACKING_URI says)
             or none.
         video: Film every policy that is evaluated: videos/*.mp4 in the run, and in TensorBoard, wandb or mlflow.
@@ -120,21 +120,21 @@ class TrainSettings:
 
     @property
     def batch_steps(self) -> int:
-        """Control steps of every robot that are collected at once."""
+        """Return the control steps of every robot that are collected at once."""
         return self.rollout_steps * self.collector.chunk
 
     @property
     def batch_frames(self) -> int:
-        """Those of all robots together."""
+        """Return the control steps of all robots together that are collected at once."""
         return self.env.num_envs * self.batch_steps
 
     @property
     def batch_updates(self) -> int:
-        """Updates after those."""
+        """Return the updates of the networks after each collected batch."""
         return self.gradient_steps * self.collector.chunk
 
     def _check_frames(self) -> None:
-        """What the numbers of frames ask of one another."""
+        """Raise a :class:`.ConfigError` if the numbers of frames do not fit one another."""
         if self.total_frames < self.batch_frames:
             product = "env.num_envs * rollout_steps" + (" * collector.chunk" if self.collector.chunk > 1 else "")
             raise ConfigError(
@@ -160,7 +160,7 @@ class TrainSettings:
             )
 
     def setup(self) -> Setup:
-        """Read the robot, build its graph and its task, and check all that only they can tell.
+        """Read the robot, build its graph and its task, and check the settings that depend on them.
 
         Raises:
             RobotError: If the robot cannot be used.
@@ -184,7 +184,7 @@ class TrainSettings:
         return setup
 
     def check_here(self) -> None:
-        """Check all that only this machine can tell, before anything is begun.
+        """Check the settings that depend on this machine, before anything is begun.
 
         Raises:
             ConfigError: If a setting does not fit it.

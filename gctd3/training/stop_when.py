@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from gctd3.errors import ConfigError, suggest
 
-# Of progress.csv.
+# Columns of progress.csv.
 COLUMNS = (
     "frames",
     "updates",
@@ -29,16 +29,17 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class StopWhen:
-    """Set what an evaluation has to show; it ranks policies, and can end the training.
+    """Hold conditions on evaluations, which rank policies and can end the training or let it begin again.
 
     A policy that meets more of the conditions counts as better; among equals the higher return does.
 
     Attributes:
         at_least: Lowest values, by the name of the metric.
         at_most: Highest values, by the name of the metric.
-        evaluations: Evaluations in a row that must meet all of it to end the training; ``None`` to train on.
-        restart_after: Frames without an evaluation that meets all of it after which the training begins again, with new
-            weights and an empty replay: random restarts, against seeds that settle on a bad gait. ``None`` for never.
+        evaluations: Evaluations in a row that must meet all conditions to end the training; ``None`` to train on.
+        restart_after: Frames without an evaluation that meets all conditions, after which the training begins again
+            with new weights and an empty replay: random restarts, against seeds that settle on a bad gait. ``None`` for
+            never.
     """
 
     at_least: Mapping[str, float] = field(default_factory=dict)
@@ -59,15 +60,15 @@ class StopWhen:
             raise ConfigError(f"restart_after must be at least 1, or null, got {self.restart_after}.")
 
     def reached(self, metrics: Mapping[str, float]) -> int:
-        """How many of the conditions hold; an undefined metric meets none."""
+        """Count the conditions that hold; an undefined metric meets none."""
         low = sum(metrics.get(name, math.nan) >= bound for name, bound in self.at_least.items())
         high = sum(metrics.get(name, math.nan) <= bound for name, bound in self.at_most.items())
         return low + high
 
     def all_reached(self, metrics: Mapping[str, float]) -> bool:
-        """Whether all of the conditions hold."""
+        """Return whether all conditions hold."""
         return self.reached(metrics) == len(self.at_least) + len(self.at_most)
 
     def score(self, metrics: Mapping[str, float]) -> float:
-        """Ranks policies by the conditions that they meet, then by return."""
+        """Return a score that ranks policies by the conditions that they meet, then by return."""
         return self.reached(metrics) + (1.0 + math.tanh(metrics["return_mean"] / 1e4)) / 2.0

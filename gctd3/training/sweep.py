@@ -19,18 +19,18 @@ STOP = ".stop"  # in the sweep's directory while its runs are to end
 
 
 def runs_at_once(launcher: DictConfig) -> int:
-    """How many runs a launcher of Hydra's has side by side in processes of this machine."""
+    """Return how many runs a Hydra launcher has side by side in processes of this machine."""
     jobs = int(launcher.get("n_jobs") or 1)
     return jobs if jobs > 0 else max(1, cores() + 1 + jobs)  # as joblib counts
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def stop_file() -> Path | None:
-    """What asks this run to end, if it is one of several side by side."""
+    """Return the file that asks this run to end, if it is one of several side by side."""
     config = HydraConfig.get()
     beside = config.mode is RunMode.MULTIRUN and runs_at_once(config.launcher) > 1
     return Path(config.sweep.dir) / STOP if beside else None
@@ -45,14 +45,14 @@ def share_cores(config: DictConfig) -> None:
 
 
 def heed_no_interrupts() -> None:
-    """Of a process that runs are given to: Ctrl-C reaches it too, but whoever started it says when runs end."""
+    """Ignore Ctrl-C in a process that executes runs: the process that started it decides when runs end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 class StopTogether(Callback):
-    """Hydra's callback that makes the first Ctrl-C or SIGTERM let every run save itself; a second one ends all at once.
+    """Let every run save itself at the first Ctrl-C or SIGTERM; a second one ends all at once.
 
-    It is for runs side by side; one run after another hears signals by itself.
+    This Hydra callback is for runs side by side; one run after another hears signals by itself.
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class StopTogether(Callback):
         self._before: dict[int, Any] = {}
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:  # noqa: ANN401 - Hydra's
-        """Begin to listen."""
+        """Begin to listen for signals."""
         launcher = config.hydra.launcher
         if runs_at_once(launcher) == 1:
             return
@@ -73,7 +73,7 @@ class StopTogether(Callback):
         self._before = {number: signal.signal(number, self._heard) for number in SIGNALS}
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:  # noqa: ANN401 - Hydra's
-        """Listen no longer; say how to go on if the sweep was stopped."""
+        """Stop listening for signals, and say how to continue if the sweep was stopped."""
         if self._file is None:
             return
         for number, handler in self._before.items():

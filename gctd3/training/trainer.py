@@ -1,4 +1,4 @@
-"""Training: collect, remember, update, evaluate, keep the best, and be able to go on later."""
+"""Train a policy: collect, store, update, evaluate, keep the best policy, and save the state to continue later."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ POST_MORTEM = "post_mortem"
 
 
 class Trainer:
-    """One training, from its settings to a directory full of results.
+    """Train a policy, from its settings to a directory full of results.
 
     Args:
-        settings: What to do.
-        directory: Where to write.
-        about: What the manifests of checkpoints say besides.
+        settings: Settings of the training.
+        directory: Directory to write to.
+        about: Further content of the manifests of checkpoints.
         setup: The robot, its task and the shape of its networks; built from the settings if ``None``.
 
     Attributes:
@@ -99,7 +99,7 @@ class Trainer:
 
     @property
     def finished(self) -> bool:
-        """Whether all frames or episodes are there, or enough evaluations in a row showed what they have to."""
+        """Return whether all frames or episodes are collected, or enough evaluations in a row met all conditions."""
         settings, now = self.settings, self.counters
         reached = settings.stop_when.evaluations is not None and now.in_a_row >= settings.stop_when.evaluations
         return reached or self._spent
@@ -114,12 +114,12 @@ class Trainer:
         """Train until it is finished, ``stop`` is set or ``time_limit`` is over.
 
         Returns:
-            The metrics of the best evaluation; ``None`` if there was none.
+            The metrics of the best evaluation; ``None`` without an evaluation.
 
         Raises:
             NumericalError: If an observation, action, reward or loss is not finite.
             RunError: If a checkpoint cannot be written.
-            WorkerError: If workers that collect do not last; a checkpoint is written before.
+            WorkerError: If a worker fails too often in a row; a checkpoint is written before.
         """
         self._clock = began = time.monotonic()
         limit = math.inf if self.settings.time_limit is None else 60.0 * self.settings.time_limit
@@ -178,7 +178,7 @@ class Trainer:
             self._begin_again(bar)
 
     def _begin_again(self, bar: tqdm[Any]) -> None:
-        """New weights, an empty replay, another warm-up; the best policy and the robots stay."""
+        """Begin again with new weights, an empty replay and a warm-up; keep the best policy and, inline, the robots."""
         now = self.counters
         bar.write(
             f"After {now.frames:,} steps: no evaluation in {now.frames - now.promising:,} met all conditions. "
@@ -215,7 +215,7 @@ class Trainer:
     def _wall(self) -> float:
         return self.counters.wall_s + time.monotonic() - self._clock
 
-    # What is kept, and going on from it.
+    # Saving and restoring the state.
 
     def save(self) -> None:
         """Write a checkpoint."""
@@ -225,7 +225,7 @@ class Trainer:
         self._next_save = self._wall() + max(self.settings.checkpoint_every, cost / MOST_TIME)
 
     def restore(self) -> bool:
-        """Go on from the newest checkpoint that is whole.
+        """Continue from the newest checkpoint that is whole.
 
         Returns:
             Whether there was one; without, the training starts from its beginning.
@@ -246,7 +246,7 @@ class Trainer:
         return True
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that the rest of the training depends on, but the replay."""
+        """Return the state that the rest of the training depends on, without the replay."""
         return {
             "counters": {**asdict(self.counters), "wall_s": self._wall()},
             "best": self.best,
@@ -258,7 +258,7 @@ class Trainer:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore :meth:`state_dict`."""
+        """Restore the state that :meth:`state_dict` returned."""
         self.counters = Counters(**state["counters"])
         self.best = state["best"]
         self.log.restore(state["rows"], self.counters.frames)
@@ -270,7 +270,7 @@ class Trainer:
         self._next_save = self._wall() + self.settings.checkpoint_every
 
     def _post_mortem(self, error: NumericalError, seen: Mapping[str, TensorDictBase]) -> NumericalError:
-        """Keep what is needed to find the cause; the error that says where."""
+        """Save the data needed to find the cause, and return the error that says where they are."""
         target = self.directory / POST_MORTEM
         said = f"After {self.counters.frames:,} steps and {self.counters.updates:,} updates, {error}."
         if target.exists():
