@@ -1,4 +1,4 @@
-"""Adam (Kingma and Ba 2015, arXiv:1412.6980) without what PyTorch does around its kernel."""
+"""Adam (Kingma and Ba 2015, arXiv:1412.6980) without PyTorch's overhead around its kernel."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from gctd3.nn.kernels import adam_step
 
 
 class Adam(torch.optim.Adam):
-    """:class:`torch.optim.Adam` with ``fused=True``: same steps and state, less around them.
+    """Implement :class:`torch.optim.Adam` with ``fused=True``: the same steps and state, with less overhead.
 
-    To find and group the tensors anew at every step takes longer than the step of a small network. Here they are found
-    once, and again when other parameters have gradients than before.
+    To collect and group the tensors at every step takes longer than the step of a small network. Here they are
+    collected once, and again when the set of parameters with gradients changes.
 
     Args:
-        parameters: One group, of one device and dtype.
+        parameters: Parameters of one group, on one device and of one dtype.
         lr: Learning rate.
     """
 
@@ -32,7 +32,7 @@ class Adam(torch.optim.Adam):
         self._found = None
 
     def zero_grad(self, set_to_none: bool = True) -> None:
-        """Forget the gradients."""
+        """Reset the gradients: to ``None``, or to zero without ``set_to_none``."""
         if not set_to_none:
             super().zero_grad(set_to_none=False)
             return
@@ -40,7 +40,7 @@ class Adam(torch.optim.Adam):
             parameter.grad = None
 
     def step(self, closure: Callable[[], Any] | None = None) -> Any:  # noqa: ANN401 - PyTorch's
-        """Take one step."""
+        """Take one optimisation step."""
         found = self._found
         if closure is not None or found is None or found.changed():
             loss = super().step(closure)
@@ -58,7 +58,7 @@ class Adam(torch.optim.Adam):
 
 
 class _Found(NamedTuple):
-    """Parameters that had gradients at the last step, those that had none, and the state of the former."""
+    """Hold the parameters with gradients at the last step and their state, and the parameters without."""
 
     moved: list[Tensor]
     resting: list[Tensor]

@@ -1,4 +1,4 @@
-"""What every algorithm has: networks, a TorchRL loss, optimisers, an averaged policy for evaluation."""
+"""The base of every algorithm: networks, a TorchRL loss, optimisers, an averaged policy for evaluation."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ EAGER = 2  # updates before compiling, in which every loss is called once and ge
 
 @dataclass(frozen=True)
 class Architecture:
-    """What networks are built from.
+    """Hold the arguments from which an algorithm's networks are built.
 
     Attributes:
         graph: The robot's graph.
-        network: Kind and sizes.
+        network: Kind and sizes of the networks.
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
-        privileged_dim: Length of the critics' extra input, 0 for none.
-        reflection: How the robot looks in the mirror; equivariant networks need it.
-        device: Where the parameters lie.
+        privileged_dim: Length of the critics' privileged input, 0 for none.
+        reflection: The robot's mirror symmetry; equivariant networks need it.
+        device: Device of the parameters.
     """
 
     graph: KinematicGraph
@@ -50,29 +50,29 @@ class Architecture:
     device: torch.device | str = "cpu"
 
     def actor(self) -> TensorDictModule:
-        """A fresh deterministic policy."""
+        """Build a deterministic policy."""
         actor = make_actor(self.graph, self.in_features, self.action_dim, self.network, self.reflection)
         return actor.to(self.device)
 
     def stochastic_actor(self, scale: Scale = "softplus") -> TensorDictModuleBase:
-        """A fresh Gaussian policy; ``scale`` as of :func:`.make_stochastic_actor`."""
+        """Build a Gaussian policy; ``scale`` as in :func:`.make_stochastic_actor`."""
         sizes = self.in_features, self.action_dim
         return make_stochastic_actor(self.graph, *sizes, self.network, self.reflection, scale).to(self.device)
 
     def critic(self) -> TensorDictModule:
-        """A fresh action-value network."""
+        """Build an action-value network."""
         sizes = self.in_features, self.action_dim
         critic = make_critic(self.graph, *sizes, self.network, self.privileged_dim, self.reflection)
         return critic.to(self.device)
 
 
 class Algorithm(ABC):
-    """Trains an actor from batches of transitions.
+    """Train an actor from batches of transitions.
 
     Attributes:
-        actor: The policy under training; collecting uses it.
+        actor: The policy under training, which also collects the transitions.
         loss: The TorchRL loss that holds all parameters.
-        updates: Updates so far.
+        updates: Number of updates so far.
     """
 
     actor: TensorDictModuleBase
@@ -86,7 +86,7 @@ class Algorithm(ABC):
         self._to_compile = compiled
 
     def update(self, batch: TensorDictBase) -> Metrics:
-        """One update on a batch of size ``[B]``, on the parameters' device; returns scalars to log."""
+        """Update the networks on a batch of size ``[B]``, on the parameters' device, and return scalars to log."""
         if self._to_compile and self.updates == EAGER:
             self._compile()
         self.updates += 1
@@ -94,7 +94,7 @@ class Algorithm(ABC):
 
     @abstractmethod
     def _update(self, batch: TensorDictBase) -> Metrics:
-        """What :meth:`update` does; ``updates`` counts this one already."""
+        """Compute the update of :meth:`update`; ``updates`` already includes it."""
 
     def _compile(self) -> None:
         cuda = next(self.loss.parameters()).is_cuda
@@ -104,23 +104,23 @@ class Algorithm(ABC):
 
     @abstractmethod
     def averaged_actor_params(self) -> TensorDictBase:
-        """Parameters of the averaged actor."""
+        """Return the parameters of the averaged actor."""
 
     def policy(self) -> TensorDictModuleBase:
-        """A copy of the actor to evaluate and ship, on the CPU: averaged if the settings say so, without gradients."""
+        """Return a copy of the actor on the CPU, without gradients, to evaluate; averaged if the settings say so."""
         policy = copy.deepcopy(self.actor).requires_grad_(False).eval()
         if self.settings.average_policy:
             self.averaged_actor_params().data.clone().to_module(policy)
         return policy.to("cpu")
 
     def optimizer(self, name: str, parameters: Iterable[nn.Parameter]) -> torch.optim.Optimizer:
-        """A new Adam over the trainable ones of ``parameters``, saved under ``name``."""
+        """Create an Adam optimiser of the trainable ones of ``parameters``, saved under ``name``."""
         trainable = [p for p in parameters if isinstance(p, nn.Parameter) and p.requires_grad]
         self.optimizers[name] = Adam(trainable, lr=self.settings.learning_rate)
         return self.optimizers[name]
 
     def state_dict(self) -> dict[str, Any]:
-        """All parameters, targets, optimisers and counts."""
+        """Return the state of all parameters, targets, optimisers and counts."""
         return {
             "updates": self.updates,
             "loss": self.loss.state_dict(),
@@ -128,7 +128,7 @@ class Algorithm(ABC):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore :meth:`state_dict`."""
+        """Restore the state that :meth:`state_dict` returned."""
         self.updates = int(state["updates"])
         self.loss.load_state_dict(state["loss"])
         for name, optimizer in self.optimizers.items():
@@ -136,7 +136,7 @@ class Algorithm(ABC):
 
 
 def _in_a_step(compiled: Callable[..., Any]) -> Callable[..., Any]:
-    """A function on CUDA graphs, whose results would be overwritten by its next call, with results of its own."""
+    """Wrap a function on CUDA graphs so that its next call does not overwrite its results, by copying them."""
 
     def call(batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         torch.compiler.cudagraph_mark_step_begin()  # type: ignore[no-untyped-call]
@@ -147,7 +147,7 @@ def _in_a_step(compiled: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def minimize(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
-    """One step down the gradient of ``loss``."""
+    """Take one optimisation step down the gradient of ``loss``."""
     optimizer.zero_grad(set_to_none=True)
     loss.backward()  # type: ignore[no-untyped-call]
     optimizer.step()

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class DDPG(Algorithm):
-    """One critic, and an actor that follows its gradient."""
+    """Train one critic, and an actor that follows the gradient of its value."""
 
     LOSSES = ("loss_value", "loss_actor")
 
@@ -30,7 +30,7 @@ class DDPG(Algorithm):
         self.actor_optimizer = self.optimizer("actor", self.loss.actor_network_params.values(True, True))
 
     def _update(self, batch: TensorDictBase) -> Metrics:
-        """One update of the critic, the actor and the targets."""
+        """Update the critic, the actor and the targets."""
         loss_critic, details = self.loss.loss_value(batch)
         minimize(self.critic_optimizer, loss_critic)
         loss_actor, _ = self.loss.loss_actor(batch)
@@ -43,5 +43,5 @@ class DDPG(Algorithm):
         }
 
     def averaged_actor_params(self) -> TensorDictBase:
-        """The target actor's."""
+        """Return the parameters of the target actor."""
         return self.loss.target_actor_network_params

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class SAC(Algorithm):
-    """Twin critics, a Gaussian actor, and a temperature that holds its entropy at minus the number of actions."""
+    """Train twin critics, a Gaussian actor, and a temperature; the target entropy is minus the number of actions."""
 
     LOSSES = ("qvalue_v2_loss", "actor_loss")
 
@@ -39,13 +39,13 @@ class SAC(Algorithm):
         self._average = self.loss.actor_network_params.data.clone()
 
     def _update(self, batch: TensorDictBase) -> Metrics:
-        """One update of the critics, the actor, the temperature and the targets, in this order (Algorithm 1)."""
+        """Update the critics, the actor, the temperature and the targets, in this order (Algorithm 1)."""
         # Critics: half the squared distance from the target (equation 5).
         alpha = self.loss.log_alpha.detach().exp()
         loss_critic = 0.5 * self.loss.qvalue_v2_loss(batch)[0]
         minimize(self.critic_optimizer, loss_critic)
 
-        # Actor: towards what the critics now value, and entropy (equation 7).
+        # Actor: towards a higher value and a higher entropy (equation 7).
         loss_actor, details = self.loss.actor_loss(batch)
         minimize(self.actor_optimizer, loss_actor)
 
@@ -62,16 +62,16 @@ class SAC(Algorithm):
         }
 
     def averaged_actor_params(self) -> TensorDictBase:
-        """The actor's Polyak average."""
+        """Return the Polyak average of the actor's parameters."""
         return self._average
 
     def state_dict(self) -> dict[str, object]:
-        """All parameters, targets, averages, optimisers and counts."""
+        """Return the state of all parameters, targets, averages, optimisers and counts."""
         average = {str(i): value for i, value in enumerate(self._average.values(True, True))}
         return {**super().state_dict(), "average": average}
 
     def load_state_dict(self, state: dict[str, object]) -> None:
-        """Restore :meth:`state_dict`."""
+        """Restore the state that :meth:`state_dict` returned."""
         super().load_state_dict(state)
         average: dict[str, torch.Tensor] = state["average"]  # type: ignore[assignment]
         for i, value in enumerate(self._average.values(True, True)):

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class AlgorithmSettings(ABC):
-    """Set the hyperparameters that all algorithms share.
+    """Hold the hyperparameters that all algorithms share.
 
     Attributes:
         learning_rate: Learning rate of Adam, for every network (Table 4).
@@ -43,12 +43,12 @@ class AlgorithmSettings(ABC):
 
     @abstractmethod
     def build(self, architecture: Architecture) -> Algorithm:
-        """The algorithm, with fresh networks."""
+        """Build the algorithm, with newly initialised networks."""
 
 
 @dataclass(frozen=True)
 class TD3Settings(AlgorithmSettings):
-    """Set the hyperparameters of TD3.
+    """Hold the hyperparameters of TD3.
 
     Attributes:
         policy_delay: Critic updates for each update of the actor and the targets (Table 4).
@@ -70,7 +70,7 @@ class TD3Settings(AlgorithmSettings):
             )
 
     def build(self, architecture: Architecture) -> Algorithm:
-        """The algorithm, with fresh networks."""
+        """Build the algorithm, with newly initialised networks."""
         from gctd3.algorithms.td3 import TD3
 
         return TD3(self, architecture)
@@ -78,10 +78,10 @@ class TD3Settings(AlgorithmSettings):
 
 @dataclass(frozen=True)
 class DDPGSettings(AlgorithmSettings):
-    """Set the hyperparameters of DDPG: those that all algorithms share."""
+    """Hold the hyperparameters of DDPG: those that all algorithms share."""
 
     def build(self, architecture: Architecture) -> Algorithm:
-        """The algorithm, with fresh networks."""
+        """Build the algorithm, with newly initialised networks."""
         from gctd3.algorithms.ddpg import DDPG
 
         return DDPG(self, architecture)
@@ -89,7 +89,7 @@ class DDPGSettings(AlgorithmSettings):
 
 @dataclass(frozen=True)
 class SACSettings(AlgorithmSettings):
-    """Set the hyperparameters of SAC.
+    """Hold the hyperparameters of SAC.
 
     Attributes:
         alpha: Initial temperature.
@@ -106,7 +106,7 @@ class SACSettings(AlgorithmSettings):
             raise ConfigError(f"alpha must be above 0, got {self.alpha}.")
 
     def build(self, architecture: Architecture) -> Algorithm:
-        """The algorithm, with fresh networks."""
+        """Build the algorithm, with newly initialised networks."""
         from gctd3.algorithms.sac import SAC
 
         return SAC(self, architecture)

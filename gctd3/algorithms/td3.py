@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class TD3(Algorithm):
-    """Twin critics, target noise, delayed actor."""
+    """Train twin critics with noise on the targets' actions, and an actor with delayed updates."""
 
     LOSSES = ("of_critics", "of_actor")
 
@@ -38,7 +38,7 @@ class TD3(Algorithm):
         self.actor_optimizer = self.optimizer("actor", self.loss.actor_network_params.values(True, True))
 
     def _update(self, batch: TensorDictBase) -> Metrics:
-        """One critic update; every ``policy_delay``-th also one of the actor and the targets."""
+        """Update the critics and, at every ``policy_delay``-th update, the actor and the targets."""
         # Critics: towards the smaller target critic's value of the target actor's noisy action (equations 9 to 11).
         loss_critic, details = self.loss.of_critics(batch)
         minimize(self.critic_optimizer, loss_critic)
@@ -55,5 +55,5 @@ class TD3(Algorithm):
         return metrics
 
     def averaged_actor_params(self) -> TensorDictBase:
-        """The target actor's."""
+        """Return the parameters of the target actor."""
         return self.loss.target_actor_network_params

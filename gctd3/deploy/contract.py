@@ -1,7 +1,7 @@
-"""What an exported policy needs to be run anywhere: which readings make its input, and what its output means.
+"""The contract of an exported policy: which readings make its input, and what its output means.
 
-It is written beside the policy as JSON whose keys are the attributes below, units in their names. Read on robots, so
-this needs the standard library only.
+It is written beside the policy as JSON whose keys are the attributes below, with units in their names. Robots read it,
+so this module needs the standard library only.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ ROBOT, ROBOT_HASH = "gctd3.robot", "gctd3.robot_sha256"  # metadata of the ONNX 
 
 @dataclass(frozen=True)
 class Feature:
-    """One of the numbers that a node senses.
+    """Describe one feature of a node.
 
     Attributes:
-        reading: Name of the reading that it is; ``None`` if it is always 0.
-        meaning: Of the reading.
-        binary: Whether it is 0 or 1.
+        reading: Name of the reading that gives its value; ``None`` if it is always 0.
+        meaning: Meaning of the reading.
+        binary: Whether its value is 0 or 1.
     """
 
     reading: str | None
@@ -44,11 +44,11 @@ class Feature:
 
 @dataclass(frozen=True)
 class Node:
-    """A node of the robot's graph.
+    """Describe a node of the robot's graph.
 
     Attributes:
-        name: Its name.
-        features: What it senses in one frame, in order.
+        name: Name of the node.
+        features: Features of the node in one frame, in order.
     """
 
     name: str
@@ -57,19 +57,19 @@ class Node:
 
 @dataclass(frozen=True)
 class Servo:
-    """One action: a desired joint angle, and the servo that follows it.
+    """Describe one action: a desired joint angle, and the servo that follows it.
 
     Attributes:
-        actuator: Its name.
-        joint: That it drives.
+        actuator: Name of the actuator.
+        joint: Name of the joint that it drives.
         low_rad: Desired angle at an action of -1.
         high_rad: Desired angle at an action of 1; in between it is linear.
-        start_rad: The joint's angle where episodes start.
+        start_rad: Angle of the joint at the start of episodes.
         most_change_rad: Largest change of the desired angle from one control step to the next.
-        kp_nm_per_rad: Its torque is ``kp (desired - angle) - kd velocity``.
-        kd_nm_s_per_rad: See above.
-        effort_nm: Largest torque; ``None`` for any.
-        time_constant_s: Of a first-order filter between desired angle and servo; 0 for none.
+        kp_nm_per_rad: Position gain ``kp``; the torque is ``kp (desired - angle) - kd velocity``.
+        kd_nm_s_per_rad: Velocity gain ``kd`` of the same torque.
+        effort_nm: Largest torque; ``None`` for no limit.
+        time_constant_s: Time constant of a first-order filter between desired angle and servo; 0 for none.
     """
 
     actuator: str
@@ -86,15 +86,15 @@ class Servo:
 
 @dataclass(frozen=True)
 class NetworkFile:
-    """The exported network.
+    """Describe the exported network.
 
     Attributes:
-        sha256: Of the ONNX file; ``None`` for a contract inside the file of its network.
-        opset: Of ONNX; ``None`` if it is not an ONNX file.
+        sha256: SHA-256 of the ONNX file; ``None`` for a contract inside the file of its network.
+        opset: Version of the ONNX operator set; ``None`` if it is not an ONNX file.
         input: Name of the input, float32 ``[batch, *input_shape]``.
-        input_shape: Nodes, and features of all frames.
+        input_shape: Number of nodes, and of a node's features over all frames.
         output: Name of the output, float32 ``[batch, actions]`` in [-1, 1].
-        weights_sha256: Of the ``policy.safetensors`` that it was made from.
+        weights_sha256: SHA-256 of the ``policy.safetensors`` from which it was exported.
     """
 
     sha256: str | None
@@ -107,12 +107,13 @@ class NetworkFile:
 
 @dataclass(frozen=True)
 class RobotIdentity:
-    """Which robot.
+    """Identify the robot of a policy.
 
     Attributes:
-        name: Of its MJCF file, without the suffix.
+        name: Name of its MJCF file, without the suffix.
         sha256: Its :func:`robot_hash` when the policy was exported.
-        standing_height_m: Of the root body's origin above the ground when the robot stands, where ``height_m`` is 0.
+        standing_height_m: Height of the root body's origin above the ground when the robot stands, where ``height_m``
+            is 0.
     """
 
     name: str
@@ -122,20 +123,20 @@ class RobotIdentity:
 
 @dataclass(frozen=True)
 class Contract:
-    """Everything that whoever runs the policy has to keep to.
+    """Describe the input, the output and the robot of an exported policy, for those who run it.
 
     Attributes:
-        format: Of this contract.
+        format: Version of the contract's format.
         network: The exported network.
         robot: The robot that it was trained for.
-        control_rate_hz: Control steps a second.
-        history_frames: Frames in the input.
-        history_order: Of a node's features in the input: all of a frame side by side, frame after frame.
-        history_warm_up: What stands for frames before the first.
-        normalisation: Of the readings; there is none, the network takes them as they are.
-        nodes: In the order of the input.
-        servos: In the order of the output.
-        frames_trained: Frames that the policy was trained on.
+        control_rate_hz: Control steps per second.
+        history_frames: Number of frames in the input.
+        history_order: Order of a node's features in the input: all features of a frame together, frame after frame.
+        history_warm_up: Replacement for frames before the first.
+        normalisation: Normalisation of the readings: ``none``, the network takes them as they are.
+        nodes: Nodes in the order of the input.
+        servos: Servos in the order of the output.
+        frames_trained: Number of frames on which the policy was trained.
         trained_with: Versions of the packages that it was trained with.
         exported_with: Versions of the packages that it was exported with.
     """
@@ -170,20 +171,20 @@ class Contract:
 
     @property
     def readings(self) -> tuple[str, ...]:
-        """Names of all readings, in the order of the nodes."""
+        """Return the names of all readings, in the order of the nodes."""
         return tuple(f.reading for node in self.nodes for f in node.features if f.reading is not None)
 
     def to_json(self) -> str:
-        """The contract with a checksum of itself."""
+        """Return the contract as JSON, with a checksum of its content."""
         content = json.loads(json.dumps(dataclasses.asdict(self)))
         return json.dumps({**content, CHECKSUM: seal(content)}, indent=2) + "\n"
 
 
 def read_contract(path: Path) -> Contract:
-    """The contract in a file.
+    """Read the contract in a file.
 
     Raises:
-        ContractError: If it is missing, damaged or of another format.
+        ContractError: If the file is missing, damaged or of another format.
     """
     if not path.is_file():
         raise ContractError(f"No contract at {path}: it is exported together with the policy and has to be beside it.")
@@ -198,7 +199,7 @@ def read_contract(path: Path) -> Contract:
 
 
 def parse_contract(text: str) -> Contract:
-    """What :meth:`Contract.to_json` wrote.
+    """Parse the JSON that :meth:`Contract.to_json` wrote.
 
     Raises:
         ContractError: If it is damaged or of another format.
@@ -242,10 +243,10 @@ def _read(value: Any, hint: Any, where: str) -> Any:  # noqa: ANN401 - JSON to w
 
 
 def robot_hash(mjcf: str | Path) -> str:
-    """SHA-256 of an MJCF file and of those that it includes, whatever the ends of their lines.
+    """Compute the SHA-256 of an MJCF file and the files that it includes, independent of their line endings.
 
     Raises:
-        ContractError: If one cannot be read.
+        ContractError: If one of the files cannot be read.
     """
     digest = hashlib.sha256()
     waiting = [Path(mjcf)]

@@ -33,17 +33,17 @@ from gctd3.runs.load import load_run
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.training.checkpoint import POLICY, Checkpoints, checked, versions
 
-# The one in which PyTorch's exporter is written; every later one is converted from it.
+# The operator set in which PyTorch's exporter is written; it converts every later one from it.
 OPSET = 18
 NEEDED = ("onnx", "onnxscript", "onnxruntime")
 Act = Callable[[np.ndarray], np.ndarray]  # states to actions
-STATES, TOLERANCE = 10_000, 1e-5  # on which the export is compared with PyTorch, and how far an action may be off
-MARGIN = 1.2  # of the largest change of a desired angle that was seen
+STATES, TOLERANCE = 10_000, 1e-5  # states of the comparison with PyTorch, and the largest difference of an action
+MARGIN = 1.2  # factor of the largest observed change of a desired angle
 INSIDE = "policy.json"  # name of the contract inside a .pt2 file
 
 
 class Deterministic(nn.Module):
-    """A policy's deterministic action as a function of tensors, of whatever kind the policy is.
+    """Compute the deterministic action of any kind of policy, as a function of tensors.
 
     Shapes:
         input ``[B, N, F]``, output ``[B, A]`` in [-1, 1].
@@ -55,7 +55,7 @@ class Deterministic(nn.Module):
         self._which = list(policy.out_keys).index(ACTION)
 
     def forward(self, nodes: Tensor) -> Tensor:
-        """Act on ``nodes``."""
+        """Compute the action for the node features ``nodes``."""
         with set_exploration_type(ExplorationType.DETERMINISTIC):
             out = self.policy(nodes=nodes)
         return out[self._which] if isinstance(out, tuple) else out
@@ -63,13 +63,13 @@ class Deterministic(nn.Module):
 
 @dataclass(frozen=True)
 class Exported:
-    """What an export wrote and found.
+    """Describe the result of an export.
 
     Attributes:
-        files: Those written.
+        files: Files that were written.
         difference: Largest difference of an action from PyTorch's over ``states`` states, half of them visited in the
             simulation, half of them random.
-        states: How many.
+        states: Number of states.
     """
 
     files: tuple[Path, ...]
@@ -81,7 +81,7 @@ def export_run(settings: ExportSettings) -> Exported:
     """Export the best policy of a run.
 
     Raises:
-        RunError: If the directory is not a run, or one of a library's task.
+        RunError: If the directory is not a run, or the run is of another library's task.
         NumericalError: If the exported network differs from PyTorch's.
     """
     run, out = load_run(settings.run), Path(settings.out)
@@ -124,11 +124,11 @@ def export_run(settings: ExportSettings) -> Exported:
 def rehearse(
     policy: TensorDictModuleBase, task: SimulatedTask, env: EnvSettings, settings: ExportSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Let a policy walk in simulation.
+    """Run a policy in simulation, and measure how fast it changes the desired joint angles.
 
     Returns:
-        The states that it visited, shape ``[T, N, F]``, and ``1.2`` times the most by which it changed each desired
-        angle in a step, from where the joint starts on, shape ``[A]`` (rad).
+        The visited states, shape ``[T, N, F]``, and ``1.2`` times the largest change of each desired angle in a step,
+        the first one from the joint's start included, shape ``[A]`` (rad).
     """
     seen: list[tuple[Tensor, Tensor]] = []
     hook = policy.register_forward_hook(lambda _, __, out: seen.append((out[NODES].clone(), out[ACTION].clone())))
@@ -146,7 +146,7 @@ def rehearse(
 
 
 def _states(visited: np.ndarray) -> np.ndarray:
-    """``STATES`` states to compare on, half of them visited, half of them normally distributed."""
+    """Draw the ``STATES`` states of the comparison, half of them visited, half of them normally distributed."""
     rng = np.random.default_rng(0)
     drawn = visited[rng.integers(len(visited), size=STATES // 2)]
     return np.concatenate([drawn, rng.standard_normal((STATES - len(drawn), *visited.shape[1:]), dtype=np.float32)])
@@ -154,7 +154,7 @@ def _states(visited: np.ndarray) -> np.ndarray:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without what PyTorch's exporter says of its own code, of its passes and of packages that are not needed."""
+    """Suppress the messages of PyTorch's exporter on its own code, its passes and packages that are not needed."""
     loggers = [logging.getLogger(name) for name in ("onnx_ir", "onnxscript", "torch.onnx")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
@@ -170,7 +170,7 @@ def _quiet() -> Iterator[None]:
 
 @_quiet()
 def traced(network: Deterministic, shape: tuple[int, ...]) -> torch.export.ExportedProgram:
-    """The network's graph for any batch, without where on this machine its lines of code are."""
+    """Export the network's graph for any batch size, without the paths of its source files on this machine."""
     example = torch.zeros(2, *shape)
     # Of a named dimension it wants a proof, which fails on reshapes of every node's layer normalisation.
     batch = torch.export.Dim.DYNAMIC
@@ -182,7 +182,7 @@ def traced(network: Deterministic, shape: tuple[int, ...]) -> torch.export.Expor
 
 @_quiet()
 def to_onnx(program: torch.export.ExportedProgram, robot: RobotIdentity) -> tuple[bytes, Act]:
-    """An ONNX file's content, and the network in it."""
+    """Return the content of an ONNX file, and its network as a function."""
     passes: Any = import_module("onnx_ir.passes.common")
     made = torch.onnx.export(
         program,
@@ -204,7 +204,7 @@ def to_onnx(program: torch.export.ExportedProgram, robot: RobotIdentity) -> tupl
 
 @_quiet()
 def to_pt2(program: torch.export.ExportedProgram, contract: str) -> tuple[bytes, Act]:
-    """The content of a file of ``torch.export``, and the network in it."""
+    """Return the content of a file of ``torch.export``, and its network as a function."""
     file = io.BytesIO()
     torch.export.save(program, file, extra_files={INSIDE: contract})
     network = torch.export.load(io.BytesIO(file.getvalue())).module()

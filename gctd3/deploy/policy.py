@@ -9,7 +9,7 @@
             command = error.command
         send(command)
 
-Needs NumPy and onnxruntime, and nothing else: neither PyTorch nor MuJoCo.
+Needs only NumPy and onnxruntime, neither PyTorch nor MuJoCo.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ _LARGEST = float(np.finfo(np.float32).max)
 
 
 class Policy:
-    """A policy and what it remembers of the walk.
+    """Run an exported policy step by step, with the history of its readings.
 
     Args:
         path: The ONNX file; its contract is beside it, with the suffix ``.json``.
-        robot: MJCF file of the robot that it is to run on; if given, the policy must have been trained for that one.
+        robot: MJCF file of the robot on which the policy runs; if given, the policy must have been trained for it.
 
     Attributes:
-        contract: What has to be kept to; ``contract.readings`` names the readings.
-        command: The last command, which is safe to hold; before the first, the pose in which the robot starts.
-        limited: Steps in which a desired angle would have changed by more than ``most_change_rad`` and was held back.
+        contract: The contract of the policy; ``contract.readings`` names the readings.
+        command: The last command, which is safe to hold; before the first step, the pose in which the robot starts.
+        limited: Number of steps in which the change of a desired angle was limited to ``most_change_rad``.
 
     Raises:
-        ContractError: If a file is missing or damaged, contract and network do not belong together, or the robot is
-            another one.
+        ContractError: If a file is missing or damaged, contract and network do not belong together, or the policy was
+            trained for another robot.
         ImportError: If onnxruntime is not installed.
     """
 
@@ -71,7 +71,7 @@ class Policy:
         self.reset()
 
     def reset(self) -> None:
-        """Begin a new walk: the next readings are the first, the pose in which the robot starts is held until then."""
+        """Begin a new walk: clear the history and return to the pose in which the robot starts."""
         self._frames: np.ndarray | None = None
         self._time = -math.inf
         self._desired = self._start.copy()
@@ -79,20 +79,20 @@ class Policy:
 
     @property
     def command(self) -> dict[str, float]:
-        """Desired joint angle (rad) by the name of the actuator."""
+        """Return the desired joint angles (rad) by the name of the actuator."""
         servos = self.contract.servos
         return {servo.actuator: float(angle) for servo, angle in zip(servos, self._desired, strict=True)}
 
     def step(self, readings: Mapping[str, float], time: float, now: float | None = None) -> dict[str, float]:
-        """One control step.
+        """Compute the desired joint angles of one control step from the readings.
 
-        What it refuses leaves everything as it was, so that better readings may follow in time. Only if steps were
-        missed the history is forgotten, and the next readings begin a new one.
+        Refused readings leave the state unchanged, so that valid readings may follow in time. Only if steps were missed
+        the history is cleared, and the next readings begin a new one.
 
         Args:
-            readings: A number for each of ``contract.readings``, as they are: angles in rad, contacts 0 or 1.
-            time: When they were read (s), on any clock that runs evenly.
-            now: What that clock shows now; if given, readings older than a control period are refused.
+            readings: Value of each of ``contract.readings``, not normalised: angles in rad, contacts 0 or 1.
+            time: Time of the readings (s), on any steady clock.
+            now: Current time of that clock (s); if given, readings older than a control period are refused.
 
         Returns:
             Desired joint angles by the name of the actuator (rad), within the servos' limits.
@@ -118,7 +118,7 @@ class Policy:
         return self.command
 
     def _frame(self, readings: Mapping[str, Any]) -> np.ndarray:
-        """Features of every node in one frame, shape ``[N, features]``."""
+        """Return the features of every node in one frame, shape ``[N, features]``."""
         given, names = set(readings), set(self._names)
         if given != names:
             missing = ", ".join(name for name in self._names if name not in given) or "none"
@@ -167,7 +167,7 @@ class Policy:
 
 
 def _number(value: Any) -> float:  # noqa: ANN401 - whatever a sensor's driver gives
-    """A reading as the network takes it; NaN if it is no number, or too large for float32."""
+    """Convert a reading to a float; NaN if it is not a number, or too large for float32."""
     try:
         number = math.nan if isinstance(value, (str, bytes)) else float(value)
     except (TypeError, ValueError, OverflowError):
@@ -176,7 +176,7 @@ def _number(value: Any) -> float:  # noqa: ANN401 - whatever a sensor's driver g
 
 
 def open_session(model: Path | bytes) -> Any:  # noqa: ANN401 - onnxruntime is untyped
-    """An ``onnxruntime.InferenceSession`` on one CPU thread.
+    """Create an ``onnxruntime.InferenceSession`` on one CPU thread.
 
     Raises:
         ContractError: If the model cannot be read.
@@ -198,10 +198,10 @@ def open_session(model: Path | bytes) -> Any:  # noqa: ANN401 - onnxruntime is u
 
 
 def _open(file: Path, contract: Contract) -> Any:  # noqa: ANN401
-    """The network of a contract.
+    """Open the network of a contract.
 
     Raises:
-        ContractError: If the file is not it.
+        ContractError: If the file does not belong to the contract.
     """
     session = open_session(file)
     found = session.get_modelmeta().custom_metadata_map

@@ -1,4 +1,4 @@
-"""The contract of a policy, read off its robot: what the task senses in which node, and the servos that it commands."""
+"""The contract of a policy, derived from its task and robot: the features of each node, and the commanded servos."""
 
 from __future__ import annotations
 
@@ -24,18 +24,19 @@ def describe(
     trained_with: Mapping[str, str],
     exported_with: Mapping[str, str],
 ) -> Contract:
-    """The contract of a policy that is not in a file yet.
+    """Build the contract of a policy that is not yet exported.
 
     Args:
-        task: On which it was trained; it holds the robot.
-        most_change: Of each desired angle in a control step, shape ``[A]`` (rad).
-        weights: Checksum of the file that holds the policy's.
-        frames_trained: Frames that it was trained on.
-        trained_with: Versions of packages.
-        exported_with: Versions of packages.
+        task: Task on which the policy was trained, with its robot.
+        most_change: Largest change of each desired angle in a control step, shape ``[A]`` (rad).
+        weights: Checksum of the file of the policy's weights.
+        frames_trained: Number of frames on which the policy was trained.
+        trained_with: Versions of the packages at training.
+        exported_with: Versions of the packages at export.
 
     Raises:
-        RobotError: If a servo is none whose desired angle is the action, or the robot's file cannot be read.
+        RobotError: If an actuator is not a position servo with a gear of 1.
+        ContractError: If the robot's file cannot be read.
     """
     nodes, robot, frames = sensed(task), task.robot, task.history
     network = NetworkFile(
@@ -64,7 +65,7 @@ def describe(
 
 
 def sensed(task: SimulatedTask) -> tuple[Node, ...]:
-    """Return what each node of the robot's graph senses, as :class:`.FeatureTable` has it."""
+    """Return the nodes of the robot's graph with the features of :class:`.FeatureTable`."""
     nothing = Feature(None, "nothing: always 0")
     return tuple(
         Node(

@@ -13,7 +13,7 @@ NEEDED = ("onnx", "onnxscript", "onnxruntime")
 
 @dataclass(frozen=True)
 class ExportSettings:
-    """Set what ``gctd3.export`` exports.
+    """Hold the settings of ``gctd3.export``.
 
     Attributes:
         run: Directory of the run; ``None`` for the walking biped that ships with gctd3.
@@ -21,10 +21,9 @@ class ExportSettings:
             torch.export with the contract inside.
         max_rate: Largest rate at which a desired joint angle may change on the robot (rad/s); ``None`` for 1.2 times
             the largest change in a control step that the policy asks of each servo in simulation.
-        episodes: Episodes of that simulation, which also visits the states on which the export is compared with
-            PyTorch.
-        seed: Seed of their starts.
-        threads: CPU threads that simulate; ``None`` for all cores. Results do not depend on it.
+        episodes: Number of episodes of that simulation, which also visits the states of the comparison with PyTorch.
+        seed: Seed of the episodes' starts.
+        threads: CPU threads of the simulation; ``None`` for all cores. Results do not depend on it.
     """
 
     run: str | None = None

@@ -1,4 +1,4 @@
-"""Policies: node features to desired joint angles in [-1, 1]."""
+"""Policies: networks from node features to desired joint angles in [-1, 1]."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from gctd3.nn.settings import Network
 
 NODES, ACTION = "nodes", "action"
-LOG_SCALE = (-20.0, 2.0)  # between which the authors of SAC clip it
+LOG_SCALE = (-20.0, 2.0)  # bounds to which the authors of SAC clip the log standard deviation
 
 
 @stackable_network
 class Actor(nn.Module):
-    """Encoder, fully connected layers, and a linear readout (Figure 3).
+    """Map node features to actions: an encoder, fully connected layers and a linear readout (Figure 3).
 
     Args:
         network: Sizes and kind of the network.
@@ -32,7 +32,7 @@ class Actor(nn.Module):
         action_dim: ``A``, number of actions.
         per_action: Numbers for each action; the output holds the first of all actions, then the second.
         squash: Whether a tanh ends the network.
-        reflection: How the robot looks in the mirror, if ``network.equivariant``.
+        reflection: The robot's mirror symmetry, if ``network.equivariant``.
 
     Shapes:
         input ``[*, N, F]``, output ``[*, per_action * A]``.
@@ -59,7 +59,7 @@ class Actor(nn.Module):
         self.squash = squash
 
     def forward(self, nodes: Tensor) -> Tensor:
-        """Act on ``nodes [*, N, F]``."""
+        """Compute the action for the node features ``nodes [*, N, F]``."""
         out = self._act(nodes) if self.symmetry is None else self.symmetry(self._act, nodes)
         return torch.tanh(out) if self.squash else out
 
@@ -71,9 +71,9 @@ class Actor(nn.Module):
 
 
 class ClippedExp(nn.Module):
-    """A network's output ``[*, 2 * A]`` to mean and standard deviation, each ``[*, A]``, as SAC's authors do."""
+    """Map an output ``[*, 2 * A]`` to mean and standard deviation, each ``[*, A]``, as SAC's authors do."""
 
     def forward(self, out: Tensor) -> tuple[Tensor, Tensor]:
-        """Split ``out`` and clip."""
+        """Split ``out`` into mean and log standard deviation, clip the latter and exponentiate it."""
         loc, log_scale = out.chunk(2, dim=-1)
         return loc, log_scale.clamp(*LOG_SCALE).exp()

@@ -1,4 +1,4 @@
-"""Action values: node features and an action to a number."""
+"""Action-value networks, from node features and an action to a value."""
 
 from __future__ import annotations
 
@@ -24,20 +24,21 @@ PRIVILEGED = "counters"
 
 @stackable_network
 class Critic(nn.Module):
-    """Encoder, then the action (and what only the critic may see) beside its output, fully connected layers, a value.
+    """Estimate the value of an action from node features, the action and the privileged input of the critic.
 
-    The action joins after the flatten (Figure 3).
+    The action and the privileged input are concatenated to the encoder's output, after the flatten (Figure 3); fully
+    connected layers map them to the value.
 
     Args:
         network: Sizes and kind of the network.
         graph: The robot's graph.
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
-        privileged_dim: Length of the extra input.
-        reflection: How the robot looks in the mirror, if ``network.equivariant``.
+        privileged_dim: Length of the privileged input, which only the critic gets.
+        reflection: The robot's mirror symmetry, if ``network.equivariant``.
 
     Raises:
-        ConfigError: If the reflection is missing, or of other inputs.
+        ConfigError: If the reflection is missing or does not fit the inputs.
 
     Shapes:
         inputs ``[*, N, F]``, ``[*, A]`` and, if ``privileged_dim > 0``, ``[*, privileged_dim]``; output ``[*, 1]``.
@@ -69,7 +70,7 @@ class Critic(nn.Module):
                 )
 
     def forward(self, nodes: Tensor, action: Tensor, *privileged: Tensor) -> Tensor:
-        """Value of ``action`` in the state ``nodes``; ``[E, *, 1]`` with parameters stacked to ``[E, ...]``."""
+        """Estimate the value of ``action`` at ``nodes``; ``[E, *, 1]`` with parameters stacked to ``[E, ...]``."""
         batch, beside = nodes.shape[:-2], [action, *privileged]
         if len(batch) != 1:
             # As one dimension: to layers with stacked parameters another one before it is that of the stack.

@@ -1,4 +1,4 @@
-"""From node features to one vector, or to one for each node: the part of the networks that knows the graph."""
+"""Encoders, the part of the networks that depends on the graph: node features to one vector, or one for each node."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 @stackable_layer
 class GraphEncoder(nn.Module):
-    r"""Graph convolutions with ReLU, then the nodes' features side by side (Figure 3, equation 14).
+    r"""Encode node features by graph convolutions with ReLU, and concatenate them (Figure 3, equation 14).
 
-    A layer is :math:`\mathrm{ReLU}(\mathrm{norm}(\mathrm{conv}(X)) + \mathrm{skip}(X))`; the paper's has neither norm
-    nor skip.
+    A layer computes :math:`\mathrm{ReLU}(\mathrm{norm}(\mathrm{conv}(X)) + \mathrm{skip}(X))`; the paper's has neither
+    norm nor skip.
 
     Args:
         graph: The graph, or its propagation matrix ``[N, N]``.
         in_features: ``F``, features of a node over all stacked frames.
-        hidden: Features after each layer; the paper's are ``[32, 32, 16]``.
+        hidden: Features of a node after each layer; the paper's are ``[32, 32, 16]``.
         norm: Whether to normalise every node's features after each convolution (Ba et al. 2016, arXiv:1607.06450).
         residual: Whether to add each layer's input to its output, through a linear map if their widths differ (He et
             al. 2016, arXiv:1512.03385, equations 1 and 2).
@@ -42,7 +42,7 @@ class GraphEncoder(nn.Module):
         input ``[*, N, F]``, output ``[*, N * hidden[-1]]``.
 
     Raises:
-        ValueError: If ``chebyshev`` is given with a propagation matrix, of which there are no polynomials.
+        ValueError: If ``chebyshev`` is given with a propagation matrix, which has no Chebyshev polynomials.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class GraphEncoder(nn.Module):
         return self.node_first(nodes.reshape(-1, *nodes.shape[-2:]).transpose(0, 1))
 
     def node_first(self, nodes: Tensor) -> Tensor:
-        """Encode ``nodes [N, B, F]`` without putting the nodes side by side.
+        """Encode ``nodes [N, B, F]`` without concatenating the nodes.
 
         Returns:
             ``[N, B, width]``; ``[E, N, B, width]`` if the parameters are stacked to ``[E, ...]``.
@@ -99,7 +99,7 @@ class GraphEncoder(nn.Module):
 
 @stackable_layer
 class FlatEncoder(nn.Module):
-    """The nodes' features side by side and nothing else: what an MLP sees.
+    """Join the features of all nodes, as the input of an MLP.
 
     Shapes:
         input ``[*, N, F]``, output ``[*, N * F]``.
@@ -111,7 +111,7 @@ class FlatEncoder(nn.Module):
         self.out_features = nodes * in_features
 
     def forward(self, nodes: Tensor) -> Tensor:
-        """Flatten ``nodes [*, N, F]``."""
+        """Join the features of ``nodes [*, N, F]``."""
         return nodes.flatten(-2)
 
 
@@ -131,7 +131,7 @@ def _convolution(
 
 
 def _complete(graph: KinematicGraph | np.ndarray | Tensor) -> KinematicGraph | np.ndarray:
-    """The graph of the same nodes in which every pair has an edge."""
+    """Return the complete graph of the same nodes, or the propagation matrix of it."""
     if not isinstance(graph, KinematicGraph):
         return np.full((len(graph), len(graph)), 1.0 / len(graph))
     return KinematicGraph(graph.nodes, 1.0 - np.eye(graph.num_nodes))

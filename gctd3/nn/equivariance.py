@@ -1,4 +1,4 @@
-"""Networks that treat a robot's left and right sides alike, exactly."""
+"""Networks that are exactly equivariant to the reflection of a robot's left and right sides."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gctd3.tasks.reflection import Reflection, SignedPermutation
 
 @stackable_layer
 class Reflect(nn.Module):
-    """A signed permutation of the last dimension, as a product with a fixed matrix.
+    """Apply a signed permutation to the last dimension, as a product with a fixed matrix.
 
     Shapes:
         input ``[*, D]``, output ``[*, D]``; a matrix stacked to ``[E, D, D]`` holds ``E`` times the same.
@@ -29,27 +29,27 @@ class Reflect(nn.Module):
         self.register_buffer("matrix", matrix, persistent=False)
 
     def forward(self, values: Tensor) -> Tensor:
-        """Reflect ``values``."""
+        """Reflect ``values [*, D]``."""
         return values @ (self.matrix if self.matrix.ndim == 2 else self.matrix[0])
 
 
 @stackable_layer
 class Symmetric(nn.Module):
-    r"""Averages a function over a state and its mirror image: :math:`f(x) = (g(x) + M' g(M x)) / 2`.
+    r"""Average a function over a state and its mirror image: :math:`f(x) = (g(x) + M' g(M x)) / 2`.
 
     Whatever :math:`g` is, :math:`f(M x) = M' f(x)`: averaging over a group is equivariant to it (Puny et al. 2022,
     arXiv:2110.03336, with both elements of the group as the frame; for robots Ordonez-Apraez et al. 2024,
-    arXiv:2402.15552). Costs twice the forward pass, and no parameter.
+    arXiv:2402.15552). This doubles the cost of the forward pass and adds no parameters.
 
     Args:
-        reflection: How the robot looks in the mirror.
+        reflection: The robot's mirror symmetry.
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
-        per_action: Numbers that the function gives for each action: 1 for actions; 2 for actions followed by their
-            scales, which change places but not signs; 0 if it gives a value, which the mirror leaves alone.
+        per_action: Outputs of the function for each action: 1 for actions; 2 for actions followed by their scales,
+            which change places but not signs; 0 for a value, which is invariant.
 
     Raises:
-        ConfigError: If the reflection is of another number of actions.
+        ConfigError: If the reflection has another number of actions.
     """
 
     def __init__(self, reflection: Reflection, in_features: int, action_dim: int, per_action: int) -> None:
@@ -64,10 +64,10 @@ class Symmetric(nn.Module):
         self.out = Reflect(_outputs(reflection.action, per_action)) if per_action else nn.Identity()
 
     def forward(self, function: Callable[..., Tensor], nodes: Tensor, *beside: Tensor) -> Tensor:
-        """Average ``function(nodes, *beside)``.
+        """Average ``function(nodes, *beside)`` over the state and its mirror image.
 
         Args:
-            function: Maps ``[*, N, F]``, and what stands beside it, to ``[*, D]`` or, stacked, to ``[E, *, D]``.
+            function: Maps ``[*, N, F]`` and ``beside`` to ``[*, D]`` or, stacked, to ``[E, *, D]``.
             nodes: ``[*, N, F]``.
             *beside: Actions ``[*, A]`` and counters ``[*, C]``, as many as ``function`` takes.
         """
@@ -84,7 +84,7 @@ class Symmetric(nn.Module):
 
 
 def _outputs(action: SignedPermutation, per_action: int) -> SignedPermutation:
-    """Of actions, and of as many unsigned numbers as follow them."""
+    """Return the reflection of actions, and of the scales after them, whose signs do not change."""
     source = [action.source + i * len(action.source) for i in range(per_action)]
     sign = [action.sign, *[np.ones_like(action.sign)] * (per_action - 1)]
     return SignedPermutation(np.concatenate(source), np.concatenate(sign))

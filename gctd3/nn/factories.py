@@ -1,4 +1,4 @@
-"""Actors and critics as TensorDictModules, whatever network they are of."""
+"""Actors and critics as TensorDictModules, for any kind of network."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def make_actor(
     network: NetworkSettings | None = None,
     reflection: Reflection | None = None,
 ) -> TensorDictModule:
-    """A deterministic policy.
+    """Build a deterministic policy.
 
     Args:
         graph: The robot's graph.
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
-        network: Sizes and kind; GCN of :class:`.Network`'s defaults if ``None``.
-        reflection: How the robot looks in the mirror, for an equivariant network.
+        network: Kind and sizes; the GCN of :class:`.Network`'s defaults if ``None``.
+        reflection: The robot's mirror symmetry, for an equivariant network.
 
     Returns:
         A module that reads ``"nodes"`` ``[*, N, F]`` and writes ``"action"`` ``[*, A]`` in [-1, 1].
@@ -55,24 +55,24 @@ def make_stochastic_actor(
     reflection: Reflection | None = None,
     scale: Scale = "softplus",
 ) -> TensorDictModuleBase:
-    """A tanh-squashed Gaussian policy (SAC, arXiv:1812.05905); arguments as of :func:`make_actor`, and one more.
+    """Build a tanh-squashed Gaussian policy (SAC, arXiv:1812.05905); arguments as in :func:`make_actor`, and ``scale``.
 
     Args:
         graph: The robot's graph.
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
-        network: Sizes and kind; GCN of :class:`.Network`'s defaults if ``None``.
-        reflection: How the robot looks in the mirror, for an equivariant network.
-        scale: What makes the standard deviation of the network's second output ``x``: ``softplus`` as TorchRL has it,
-            shifted so that 0 gives 1, and at least 0.01; ``exp`` of ``x`` clipped to :data:`LOG_SCALE`, as in the code
-            of SAC's authors. Both begin near 1.
+        network: Kind and sizes; the GCN of :class:`.Network`'s defaults if ``None``.
+        reflection: The robot's mirror symmetry, for an equivariant network.
+        scale: Function that maps the network's second output ``x`` to the standard deviation: ``softplus`` as in
+            TorchRL, shifted so that 0 gives 1, and at least 0.01; ``exp`` of ``x`` clipped to :data:`LOG_SCALE`, as in
+            the code of SAC's authors. Both begin near 1.
 
     Returns:
         A :class:`~torchrl.modules.ProbabilisticActor` that reads ``"nodes"`` ``[*, N, F]`` and writes ``"loc"``,
         ``"scale"`` and ``"action"``, each ``[*, A]``.
 
     Raises:
-        ConfigError: If there is no such ``scale``.
+        ConfigError: If ``scale`` is unknown.
     """
     if scale not in get_args(Scale):
         raise ConfigError(f"scale must be one of {', '.join(get_args(Scale))}, got {scale!r}.")
@@ -97,15 +97,15 @@ def make_critic(
     privileged_dim: int = 0,
     reflection: Reflection | None = None,
 ) -> TensorDictModule:
-    """An action-value network.
+    """Build an action-value network.
 
     Args:
         graph: The robot's graph.
         in_features: ``F``, features of a node over all stacked frames.
         action_dim: ``A``, number of actions.
-        network: Sizes and kind; GCN of :class:`.Network`'s defaults if ``None``.
-        privileged_dim: Length of ``"counters"``, which the critic then reads too; 0 for none.
-        reflection: How the robot looks in the mirror, for an equivariant network.
+        network: Kind and sizes; the GCN of :class:`.Network`'s defaults if ``None``.
+        privileged_dim: Length of ``"counters"``, which the critic reads unless it is 0.
+        reflection: The robot's mirror symmetry, for an equivariant network.
 
     Returns:
         A module that reads ``"nodes"`` ``[*, N, F]`` and ``"action"`` ``[*, A]`` and writes ``"state_action_value"``

@@ -15,13 +15,13 @@ from gctd3.nn.stacking import stackable_layer
 
 
 class GraphLayer(nn.Module, ABC):
-    r"""What graph convolutions share: nodes are mixed by a fixed matrix, then :math:`Y = M \Theta + b` at every node.
+    r"""Define the base of graph convolutions: fixed mixing of nodes, then :math:`Y = M \Theta + b` at every node.
 
     Args:
         in_features: ``F``, features of a node.
         out_features: ``F'``, features of a node after the layer.
-        propagation: What mixes the nodes, shape ``[..., N, N]``.
-        terms: Mixtures of a node that the layer weighs, so that the weight's shape is ``[terms * F, F']``.
+        propagation: Matrices that mix the nodes, shape ``[..., N, N]``.
+        terms: Number of mixtures of each node that the layer weights; the weight's shape is ``[terms * F, F']``.
         bias: Whether to add ``b``, shape ``[F']``.
         persistent: Whether the state dictionary holds ``propagation``; without it, it fits every graph.
 
@@ -42,14 +42,14 @@ class GraphLayer(nn.Module, ABC):
         self.reset_parameters()
 
     def reset_parameters(self) -> None:
-        """Glorot-uniform weights of every term (Kipf and Welling 2017), zero bias."""
+        """Initialise the weights of every term Glorot-uniformly (Kipf and Welling 2017), and the bias to zero."""
         bound = math.sqrt(6.0 / (self.in_features + self.out_features))
         nn.init.uniform_(self.weight, -bound, bound)
         if self.bias is not None:
             nn.init.zeros_(self.bias)
 
     def forward(self, nodes: Tensor) -> Tensor:
-        """Convolve ``nodes [*, N, F]``.
+        """Apply the convolution to ``nodes [*, N, F]``.
 
         With parameters stacked to ``[E, ...]``, ``[B, N, F]`` and ``[E, B, N, F]`` give ``[E, B, N, F']``.
 
@@ -67,7 +67,7 @@ class GraphLayer(nn.Module, ABC):
         return self.node_first(flat).transpose(-3, -2).reshape(*nodes.shape[:-1], self.out_features)
 
     def node_first(self, nodes: Tensor) -> Tensor:
-        """The same on ``[N, B, F]``, the layout in which both products of the layer are single matrix products.
+        """Apply the convolution to ``[N, B, F]``, where both products of the layer are single matrix products.
 
         Returns:
             ``[N, B, F']``; ``[E, N, B, F']`` if the parameters are stacked to ``[E, ...]`` (``nodes`` may be too).
@@ -82,17 +82,17 @@ class GraphLayer(nn.Module, ABC):
 
     @abstractmethod
     def mix(self, nodes: Tensor) -> Tensor:
-        """``nodes [(E,) N, B, F]`` to what the weight multiplies, ``[(E,) N * B, terms * F]``."""
+        """Compute the mixtures ``[(E,) N * B, terms * F]`` of ``nodes [(E,) N, B, F]`` that the weight multiplies."""
 
     def extra_repr(self) -> str:
-        """Sizes, for ``print``."""
+        """Return the sizes of the layer, for ``print``."""
         nodes = self.propagation.shape[-1]
         return f"{self.in_features}, {self.out_features}, nodes={nodes}, bias={self.bias is not None}"
 
 
 @stackable_layer
 class GraphConv(GraphLayer):
-    r"""One graph convolution, :math:`Y = P X \Theta + b`, with a fixed propagation matrix :math:`P`.
+    r"""Apply a graph convolution, :math:`Y = P X \Theta + b`, with a fixed propagation matrix :math:`P`.
 
     With :math:`P = \hat D^{-1/2} \hat A \hat D^{-1/2}` it is equation 7 of Phan Bui et al. 2022 and the layer of Kipf
     and Welling 2017 (arXiv:1609.02907).
@@ -122,7 +122,7 @@ class GraphConv(GraphLayer):
         super().__init__(in_features, out_features, matrix, 1, bias, persistent)
 
     def mix(self, nodes: Tensor) -> Tensor:
-        """``P X``: ``nodes [(E,) N, B, F]`` to ``[(E,) N * B, F]``."""
+        """Compute ``P X``: ``nodes [(E,) N, B, F]`` to ``[(E,) N * B, F]``."""
         n, batch, features = nodes.shape[-3:]
         mixed = self.propagation @ nodes.reshape(*nodes.shape[:-2], batch * features)
         return mixed.reshape(*mixed.shape[:-2], n * batch, features)
@@ -130,10 +130,10 @@ class GraphConv(GraphLayer):
 
 @stackable_layer
 class ChebyshevConv(GraphLayer):
-    r"""A convolution of order ``K``, :math:`Y = \sum_{k=0}^{K} T_k(\tilde\Delta) X \Theta_k + b`.
+    r"""Apply a convolution of order ``K``, :math:`Y = \sum_{k=0}^{K} T_k(\tilde\Delta) X \Theta_k + b`.
 
-    Equation 5 of Phan Bui et al. 2022, from Defferrard et al. 2016 (arXiv:1606.09375): a node takes in those up to
-    ``K`` edges away, each distance with weights of its own.
+    It is equation 5 of Phan Bui et al. 2022, from Defferrard et al. 2016 (arXiv:1606.09375): a node aggregates the
+    nodes up to ``K`` edges away, with separate weights for each polynomial.
 
     Args:
         in_features: ``F``, features of a node.
@@ -161,7 +161,7 @@ class ChebyshevConv(GraphLayer):
         super().__init__(in_features, out_features, terms, len(terms), bias, persistent)
 
     def mix(self, nodes: Tensor) -> Tensor:
-        """All ``T_k X`` side by side: ``nodes [(E,) N, B, F]`` to ``[(E,) N * B, (K + 1) * F]``."""
+        """Compute all ``T_k X``, concatenated: ``nodes [(E,) N, B, F]`` to ``[(E,) N * B, (K + 1) * F]``."""
         n, batch, features = nodes.shape[-3:]
         terms = self.propagation.shape[-3]
         flat = nodes.reshape(*nodes.shape[:-2], batch * features)

@@ -1,4 +1,4 @@
-"""Hand-optimised arithmetic, each piece beside its plain version in plain PyTorch.
+"""Hand-optimised operations, each beside a reference version in plain PyTorch.
 
 With ``GCTD3_PLAIN=1`` in the environment the plain versions are computed, and losses evaluate their critics by
 TorchRL's ``vmap``: to find out whether a fault lies here. Results then agree to rounding, not to the last bit. In tests
@@ -26,13 +26,13 @@ _plain = os.environ.get(VARIABLE, "") not in ("", "0")
 
 
 def plain() -> bool:
-    """Tell whether plain versions are computed."""
+    """Return whether the plain versions are computed."""
     return _plain
 
 
 @contextmanager
 def use_plain(yes: bool = True) -> Iterator[None]:
-    """Compute plain versions, or fast ones, within a ``with`` block; losses keep what they were made with."""
+    """Compute plain or fast versions within a ``with`` block; losses keep those with which they were built."""
     global _plain
     before, _plain = _plain, yes
     try:
@@ -45,10 +45,10 @@ def use_plain(yes: bool = True) -> Iterator[None]:
 
 
 class _Stacked(torch.autograd.Function):
-    """Linear layers with ReLU between them, of ``E`` networks at once, and their gradients by hand.
+    """Compute linear layers with ReLU between them, of ``E`` networks at once, with hand-written gradients.
 
-    One node of autograd's graph instead of two for each layer, activations and their gradients overwritten in place,
-    and gradients in the layout of their parameters, of which autograd's own need a copy each.
+    It is one node of autograd's graph instead of two for each layer. Activations and their gradients are overwritten
+    in place. Gradients have the layout of their parameters; autograd's own each need a copy.
     """
 
     @staticmethod
@@ -81,7 +81,7 @@ class _Stacked(torch.autograd.Function):
 
 
 def _layers(x: Tensor, *parameters: Tensor) -> list[Tensor]:
-    """What goes into each of the layers, and what comes out of the last."""
+    """Return the input of each layer, and the output of the last."""
     passed = [x]
     for weight, bias in zip(parameters[::2], parameters[1::2], strict=True):
         if len(passed) > 1:
@@ -94,11 +94,11 @@ def _layers(x: Tensor, *parameters: Tensor) -> list[Tensor]:
 def stacked_layers(x: Tensor, *parameters: Tensor) -> Tensor:
     """Apply linear layers with ReLU between them, of ``E`` networks at once; differentiable once.
 
-    Fast: one hand-written node of autograd's graph; 1.1 times as fast, forwards and backwards.
+    The fast version is one hand-written node of autograd's graph; 1.1 times as fast, forward and backward.
 
     Args:
-        x: Input ``[B, I]``, which all share, or ``[E, B, I]``.
-        *parameters: Of each layer its weight ``[E, O, I]`` and its bias ``[E, O]``.
+        x: Input ``[B, I]``, shared by all networks, or ``[E, B, I]``.
+        *parameters: Weight ``[E, O, I]`` and bias ``[E, O]`` of each layer, in order.
 
     Returns:
         ``[E, B, O]``.
@@ -140,15 +140,15 @@ def adam_step(
 ) -> None:
     """Take one step of Adam (arXiv:1412.6980, Algorithm 1) with all parameters, in place.
 
-    Fast: ``torch._fused_adam_`` and ``torch._foreach_add_`` (torch 2.13.0), called directly; 6 times as fast as the
-    plain version, 1.2 times as fast as PyTorch's optimiser, which calls the same after looking for the tensors.
+    The fast version calls ``torch._fused_adam_`` and ``torch._foreach_add_`` (torch 2.13.0) directly; 6 times as fast
+    as the plain version, 1.2 times as fast as PyTorch's optimiser, which calls the same after collecting the tensors.
 
     Args:
-        parameters: What to move.
-        gradients: Of each.
+        parameters: Parameters to update.
+        gradients: Gradient of each parameter.
         first: Running mean of each gradient.
-        second: Running mean of its square.
-        steps: Number of steps of each, a tensor of one element.
+        second: Running mean of the square of each gradient.
+        steps: Number of steps of each parameter, a tensor of one element.
         group: ``lr``, ``betas``, ``eps`` and ``weight_decay``.
     """
     if _plain:
@@ -182,7 +182,7 @@ def adam_step_plain(
     steps: list[Tensor],
     group: dict[str, Any],
 ) -> None:
-    """Compute :func:`adam_step` as the paper writes it, one parameter after another."""
+    """Compute :func:`adam_step` as in the paper, one parameter after another."""
     beta1, beta2 = group["betas"]
     for parameter, given, mean, square, step in zip(parameters, gradients, first, second, steps, strict=True):
         gradient = given + group["weight_decay"] * parameter
@@ -194,9 +194,9 @@ def adam_step_plain(
 
 
 def lerp_all(targets: list[Tensor], sources: list[Tensor], share: float) -> None:
-    """Move each target the ``share`` of the way to its source, in place.
+    """Interpolate each target towards its source by ``share``, in place.
 
-    Fast: ``torch._foreach_lerp_`` (torch 2.13.0), one call for all; 1.2 times as fast.
+    The fast version is one call of ``torch._foreach_lerp_`` (torch 2.13.0) for all targets; 1.2 times as fast.
     """
     if _plain:
         lerp_all_plain(targets, sources, share)
@@ -214,16 +214,16 @@ def lerp_all_plain(targets: list[Tensor], sources: list[Tensor], share: float) -
 
 
 def stack_frames(frames: Tensor, age: Tensor, place: Tensor, back: Tensor, robots: int) -> Tensor:
-    """Put the last frames up to each place side by side, oldest first; before an episode's first it repeats.
+    """Stack the last frames up to each place, oldest first; the first frame of an episode stands for earlier ones.
 
-    Fast: one gather by places in the flat ring; 1.3 times as fast.
+    The fast version is one gather by places in the flat ring; 1.3 times as fast.
 
     Args:
         frames: The ring, rows and robots as one dimension, ``[rows * robots, N, F]``.
-        age: Frames of the same episode before each, as far as a stack reaches, ``[rows * robots]``.
+        age: Number of earlier frames of the same episode, as far as a stack reaches, ``[rows * robots]``.
         place: Row times ``robots`` plus robot, ``[B]``.
-        back: Rows back of each frame in a stack, ``H - 1`` to 0, ``[H]``.
-        robots: Columns of the ring.
+        back: Offset of each frame in a stack, in rows before the last, ``H - 1`` to 0, ``[H]``.
+        robots: Number of robots, the columns of the ring.
 
     Returns:
         ``[B, N, H * F]``.

@@ -18,10 +18,10 @@ from gctd3.nn.stacking import stackable_layer
 
 @stackable_layer
 class Linear(nn.Linear):
-    """As :class:`torch.nn.Linear`; weights ``[E, O, I]`` map ``[B, I]`` or ``[E, B, I]`` to ``[E, B, O]``."""
+    """Apply :class:`torch.nn.Linear`; weights ``[E, O, I]`` map ``[B, I]`` or ``[E, B, I]`` to ``[E, B, O]``."""
 
     def forward(self, input: Tensor) -> Tensor:
-        """Apply the layer, or all of a stack."""
+        """Apply the layer, or all layers of a stack."""
         if self.weight.ndim == 2:
             return functional.linear(input, self.weight, self.bias)
         return stacked_linear(input, self.weight, self.bias)
@@ -29,10 +29,10 @@ class Linear(nn.Linear):
 
 @stackable_layer
 class LayerNorm(nn.LayerNorm):
-    """As :class:`torch.nn.LayerNorm` over the last dimension; parameters stacked to ``[E, D]`` take ``[E, B, D]``."""
+    """Apply :class:`torch.nn.LayerNorm` to the last dimension; parameters ``[E, D]`` take ``[E, B, D]``."""
 
     def forward(self, input: Tensor) -> Tensor:
-        """Apply the layer, or all of a stack."""
+        """Apply the layer, or all layers of a stack."""
         if self.weight.ndim == 1:
             return super().forward(input)
         normal = functional.layer_norm(input, self.normalized_shape, eps=self.eps)
@@ -41,10 +41,10 @@ class LayerNorm(nn.LayerNorm):
 
 @stackable_layer
 class MLP(nn.Sequential):
-    """As :class:`torch.nn.Sequential`; linear layers with ReLU between them run as one if their parameters are stacked.
+    """Apply layers as :class:`torch.nn.Sequential`, and stacked linear layers with ReLU between them in one call.
 
     Args:
-        *layers: The last is a :class:`Linear`.
+        *layers: Layers of the network; the last is a :class:`Linear`.
     """
 
     def __init__(self, *layers: nn.Module) -> None:
@@ -52,7 +52,7 @@ class MLP(nn.Sequential):
         self._plain = all(type(layer) is (nn.ReLU if i % 2 else Linear) for i, layer in enumerate(layers))
 
     def forward(self, input: Tensor) -> Tensor:
-        """Apply the layers, or those of all of a stack."""
+        """Apply the layers, or those of all networks of a stack."""
         linear = cast("list[Linear]", list(self)[::2])
         if self._plain and linear[0].weight.ndim == 3:
             return stacked_layers(input, *(p for layer in linear for p in (layer.weight, layer.bias)))

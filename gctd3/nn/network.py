@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def make_encoder(network: Network, graph: KinematicGraph, in_features: int) -> GraphEncoder | FlatEncoder:
-    """A fresh encoder of ``[*, N, in_features]``."""
+    """Build an encoder of node features ``[*, N, in_features]``."""
     if not network.graph_layers and network.readout == "flat":
         return FlatEncoder(graph, in_features)
     return GraphEncoder(
@@ -31,27 +31,27 @@ def make_encoder(network: Network, graph: KinematicGraph, in_features: int) -> G
         residual=network.residual,
         chebyshev=network.chebyshev,
         mixing=network.mixing,
-        # What every robot's joints share is to load on every robot.
+        # Weights that all joints share must load for every robot.
         persistent=network.readout == "flat",
     )
 
 
 def make_head(network: Network, in_features: int, out_features: int) -> nn.Module:
-    """Fresh fully connected layers, ``[*, in_features]`` to ``[*, out_features]``."""
+    """Build fully connected layers, ``[*, in_features]`` to ``[*, out_features]``."""
     return MLP(*_layers(network, in_features, *network.hidden), Linear(network.hidden[-1], out_features))
 
 
 def make_joint_readout(
     network: Network, graph: KinematicGraph, width: int, action_dim: int, per_action: int
 ) -> JointReadout:
-    """A fresh head that all joints share, ``[N, B, width]`` to ``[B, per_action * action_dim]``."""
+    """Build a readout that all joints share, ``[N, B, width]`` to ``[B, per_action * action_dim]``."""
     return JointReadout(graph, action_dim, make_head(network, 2 * width, per_action))
 
 
 def make_pooled_readout(
     network: Network, graph: KinematicGraph, width: int, action_dim: int, privileged_dim: int = 0
 ) -> PooledReadout:
-    """Fresh layers of a value: the first of ``hidden`` at every node ``[N, B, width]``, the others pooled."""
+    """Build a readout of a value: the first of ``hidden`` at every node ``[N, B, width]``, the others pooled."""
     first, *rest = network.hidden
     sizes = [first + privileged_dim, *rest]
     each = nn.Sequential(*_layers(network, width + 1, first))
@@ -61,10 +61,10 @@ def make_pooled_readout(
 def make_symmetry(
     network: Network, reflection: Reflection | None, in_features: int, action_dim: int, per_action: int
 ) -> Symmetric | None:
-    """What makes the network's output equivariant, or a value (``per_action`` 0) invariant, if it is to be.
+    """Build the module that makes a network equivariant (a value: invariant, ``per_action`` 0), if set; else ``None``.
 
     Raises:
-        ConfigError: If it is to be, and ``reflection`` is missing.
+        ConfigError: If the network is equivariant and ``reflection`` is missing.
     """
     if not network.equivariant:
         return None

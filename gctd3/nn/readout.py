@@ -1,4 +1,4 @@
-"""What comes after the encoder when its weights are to fit robots of any size: one head for all joints, one pool.
+"""Readouts after the encoder whose weights fit robots of any size: one head for all joints, and one pool.
 
 Both read the nodes' codes in the layout of :meth:`gctd3.nn.GraphEncoder.node_first` and know the robot only by which
 node each action moves, a constant that is not part of the state dictionary.
@@ -16,18 +16,18 @@ from gctd3.robots.graph import KinematicGraph
 
 @stackable_layer
 class JointReadout(nn.Module):
-    """One head for all actuated joints, which sees a joint's code and the mean of all nodes' codes.
+    """Apply one head to each actuated joint's code, concatenated with the mean of all nodes' codes.
 
-    The shared controller of NerveNet (Wang et al., ICLR 2018), with the mean as the head's view of the whole
-    robot. Joints differ to it in their codes only.
+    It is the shared controller of NerveNet (Wang et al., ICLR 2018), with the mean as the head's input about the whole
+    robot. The head distinguishes joints by their codes only.
 
     Args:
         graph: The robot's graph, with the node that each action moves.
         action_dim: ``A``, number of actions.
-        head: Maps ``[*, 2 * width]`` to ``[*, k]``, ``k`` numbers for an action.
+        head: Network from ``[*, 2 * width]`` to ``[*, k]``, ``k`` numbers for each action.
 
     Shapes:
-        input ``[N, B, width]``, output ``[B, k * A]``: first numbers of all actions, then the second ones.
+        input ``[N, B, width]``, output ``[B, k * A]``: the first numbers of all actions, then the second.
     """
 
     selection: Tensor
@@ -38,7 +38,7 @@ class JointReadout(nn.Module):
         self.head = head
 
     def forward(self, codes: Tensor) -> Tensor:
-        """Read ``codes [(E,) N, B, width]``."""
+        """Compute the actions' numbers from ``codes [(E,) N, B, width]``."""
         joints = self.selection @ codes.flatten(-2)
         joints = joints.reshape(*joints.shape[:-1], *codes.shape[-2:])
         robot = codes.mean(-3, keepdim=True).expand_as(joints)
@@ -48,19 +48,19 @@ class JointReadout(nn.Module):
 
 @stackable_layer
 class PooledReadout(nn.Module):
-    """The same layers at every node, on its code and its joint's action; their mean over the nodes; a value.
+    """Apply shared layers to every node's code and action, and map their mean over the nodes to a value.
 
-    A sum decomposition of Deep Sets (Zaheer et al. 2017, arXiv:1703.06114, theorem 2), divided by the number of nodes
-    so that its size does not grow with the robot.
+    It is a sum decomposition of Deep Sets (Zaheer et al. 2017, arXiv:1703.06114, theorem 2), divided by the number of
+    nodes so that its size does not grow with the robot.
 
     Args:
         graph: The robot's graph, with the node that each action moves.
         action_dim: ``A``, number of actions.
-        each: Maps ``[*, width + 1]`` to ``[*, D]``, at every node.
-        pooled: Maps ``[*, D + C]`` to ``[*, 1]``, where ``C`` is the length of what else the critic sees.
+        each: Network from ``[*, width + 1]`` to ``[*, D]``, applied to every node.
+        pooled: Network from ``[*, D + C]`` to ``[*, 1]``, where ``C`` is the length of the critic's privileged input.
 
     Shapes:
-        inputs ``[N, B, width]``, ``[B, A]`` and, if there is any, ``[B, C]``; output ``[B, 1]``.
+        inputs ``[N, B, width]``, ``[B, A]`` and, if ``C > 0``, ``[B, C]``; output ``[B, 1]``.
     """
 
     selection: Tensor
@@ -71,7 +71,7 @@ class PooledReadout(nn.Module):
         self.each, self.pooled = each, pooled
 
     def forward(self, codes: Tensor, action: Tensor, *beside: Tensor) -> Tensor:
-        """Value of ``action [B, A]`` at ``codes [(E,) N, B, width]``."""
+        """Estimate the value of ``action [B, A]`` at ``codes [(E,) N, B, width]``."""
         rows = codes.shape[-3:-1]
         pushed = (self.selection.mT @ action.mT).unsqueeze(-1)
         if pushed.ndim < codes.ndim:
@@ -83,10 +83,10 @@ class PooledReadout(nn.Module):
 
 
 def selection(graph: KinematicGraph, action_dim: int) -> Tensor:
-    """The matrix ``[A, N]`` of zeros and ones that takes the node of each action out of all nodes.
+    """Return the matrix ``[A, N]`` of zeros and ones that selects the node of each action.
 
     Raises:
-        ConfigError: If the graph does not say which nodes the actions move, or says so for another number of actions.
+        ConfigError: If the graph does not name the nodes of the actions, or names another number of them.
     """
     if len(graph.actuated) != action_dim:
         raise ConfigError(

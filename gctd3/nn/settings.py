@@ -23,11 +23,11 @@ Scale = Literal["softplus", "exp"]
 
 @dataclass(frozen=True)
 class NetworkSettings(ABC):
-    """Set what actors and critics are; a network of your own is a subclass, with plain ``torch.nn`` inside if you like.
+    """Hold the settings of actors and critics; a network of your own is a subclass, and may use plain ``torch.nn``.
 
     Class attributes:
-        equivariant: Whether they get the robot's reflection.
-        knows_graph: Whether they need a graph of the robot, and not just the numbers that its nodes sense.
+        equivariant: Whether the networks are built with the robot's reflection.
+        knows_graph: Whether the networks need the robot's graph, beside the features of its nodes.
     """
 
     # Without annotations, which would make fields of them, the first ones of every subclass.
@@ -44,7 +44,7 @@ class NetworkSettings(ABC):
         squash: bool,
         reflection: Reflection | None,
     ) -> nn.Module:
-        """Build a module from nodes ``[*, N, in_features]`` to ``[*, per_action * action_dim]``.
+        """Build an actor from nodes ``[*, N, in_features]`` to ``[*, per_action * action_dim]``.
 
         Args:
             graph: The robot's graph.
@@ -52,7 +52,7 @@ class NetworkSettings(ABC):
             action_dim: ``A``, number of actions.
             per_action: Numbers for each action; the output holds the first of all actions, then the second.
             squash: Whether a tanh ends the network.
-            reflection: How the robot looks in the mirror, if ``equivariant``.
+            reflection: The robot's mirror symmetry, if ``equivariant``.
         """
 
     @abstractmethod
@@ -64,20 +64,20 @@ class NetworkSettings(ABC):
         privileged_dim: int,
         reflection: Reflection | None,
     ) -> nn.Module:
-        """Build a module from nodes ``[*, N, in_features]``, an action ``[*, A]`` and more to a value ``[*, 1]``.
+        """Build a critic from nodes ``[*, N, in_features]``, an action and a privileged input to a value ``[*, 1]``.
 
         Args:
             graph: The robot's graph.
             in_features: ``F``, features of a node over all stacked frames.
-            action_dim: ``A``, number of actions.
-            privileged_dim: Length of a third input ``[*, privileged_dim]``, which is there if it is not 0.
-            reflection: How the robot looks in the mirror, if ``equivariant``.
+            action_dim: ``A``, number of actions; the action is ``[*, A]``.
+            privileged_dim: Length of the privileged input ``[*, privileged_dim]``; 0 for no such input.
+            reflection: The robot's mirror symmetry, if ``equivariant``.
         """
 
 
 @dataclass(frozen=True)
 class Network(NetworkSettings):
-    """Set the kind and the sizes of a network: an encoder of the nodes, and fully connected layers after it.
+    """Hold the kind and the sizes of a network: an encoder of the nodes, and fully connected layers after it.
 
     Sizes are Table 4's; layer normalisation is not the paper's.
 
@@ -140,7 +140,7 @@ class Network(NetworkSettings):
 
     @property
     def knows_graph(self) -> bool:  # type: ignore[override]
-        """Return whether any part of it does."""
+        """Return whether any part of the network needs the robot's graph."""
         return bool(self.graph_layers) or self.readout != "flat" or self.equivariant
 
     def actor(

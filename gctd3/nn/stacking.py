@@ -1,4 +1,4 @@
-"""Which networks can run as a stack, with parameters ``[E, ...]`` of ``E`` networks in one module.
+"""Declarations of networks that can run as a stack, with parameters ``[E, ...]`` of ``E`` networks in one module.
 
 It is declared, never tried out: a class is declared with one of the decorators below, and a network is stackable if
 every module in it is of a declared class or of one known here. A subclass has to be declared again, since it may
@@ -17,7 +17,7 @@ from gctd3.compat import has_hooks
 
 T = TypeVar("T", bound=type[nn.Module])
 
-# Of PyTorch's, those that hold nothing and act on every element alike, and containers without a forward of their own.
+# PyTorch's modules without parameters that act elementwise, and its containers without a forward pass of their own.
 _KNOWN: set[type[nn.Module]] = {
     nn.Sequential, nn.ModuleList, nn.Identity,
     nn.ReLU, nn.ReLU6, nn.LeakyReLU, nn.ELU, nn.SELU, nn.CELU, nn.GELU, nn.SiLU, nn.Mish,
@@ -27,19 +27,20 @@ _NETWORKS: set[type[nn.Module]] = set()
 
 
 def stackable_layer(layer: T) -> T:
-    """Declare a layer to take parameters stacked to ``[E, ...]``, in networks that are declared to.
+    """Declare that a layer accepts parameters stacked to ``[E, ...]``, within a declared network.
 
-    It then maps ``[B, ...]``, the same for all ``E``, and ``[E, B, ...]``, as an earlier layer of the stack gives it,
-    to ``[E, B, ...]``. Graph layers have their nodes before the batch where their docstrings say so.
+    The layer then maps ``[B, ...]``, shared by all ``E``, and ``[E, B, ...]``, the output of an earlier layer of the
+    stack, to ``[E, B, ...]``. Graph layers have their nodes before the batch where their docstrings say so.
     """
     _KNOWN.add(layer)
     return layer
 
 
 def stackable_network(network: T) -> T:
-    """Declare a whole network to take stacked parameters: it maps inputs ``[*, I]`` to ``[E, *, O]`` for any ``*``.
+    """Declare that a whole network accepts stacked parameters, to map ``[*, I]`` to ``[E, *, O]`` for any ``*``.
 
-    Unlike a layer it knows which dimensions of its inputs are features, so that a batch ``[E, B]`` is no stack to it.
+    Unlike a layer, it knows which dimensions of its inputs are features, and does not take a batch ``[E, B]`` for a
+    stack.
     """
     _KNOWN.add(network)
     _NETWORKS.add(network)
@@ -47,7 +48,7 @@ def stackable_network(network: T) -> T:
 
 
 def obstacles(network: TensorDictModuleBase, outside: tuple[str, ...] = ()) -> list[str]:
-    """List what keeps a network from running as a stack, in words; nothing if it can.
+    """List the reasons why a network cannot run as a stack; empty if it can.
 
     Args:
         network: The network, in a TensorDictModule.

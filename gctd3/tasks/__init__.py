@@ -1,1 +1,1 @@
-"""Tasks: what is asked of a robot, as functions over arrays; nothing here steps a simulator."""
+"""Tasks of a robot, as functions over arrays; nothing here steps a simulator."""

@@ -1,4 +1,4 @@
-"""Commands: what a robot is told to do."""
+"""Commands to a robot, as inputs of its policy."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class UniformCommand(Command):
     """Draw each number of the command uniformly from its range.
 
     Attributes:
-        low: Lowest value of each.
-        high: Highest value of each.
+        low: Lower bound of each number.
+        high: Upper bound of each number.
     """
 
     low: Sequence[float] = (0.0,)
@@ -33,9 +33,9 @@ class UniformCommand(Command):
 
     @property
     def size(self) -> int:
-        """Return how many numbers it is."""
+        """Return the length ``K`` of the command."""
         return len(self.low)
 
     def __call__(self, rng: np.random.Generator | np.random.RandomState, count: int) -> np.ndarray:
-        """Draw ``[count, K]``."""
+        """Draw a command for each of ``count`` robots, shape ``[count, K]``."""
         return np.asarray(rng.uniform(self.low, self.high, (count, self.size)))

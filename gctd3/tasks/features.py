@@ -1,4 +1,4 @@
-"""What the nodes of a robot's graph sense: one table, from which all that depends on it is derived.
+"""Features of the nodes of a robot's graph: one table, from which everything that depends on them is derived.
 
 The observation, its reflection in the mirror, the exported contract, sensor noise and evaluation read this table. The
 paper's task has two features a node (section 2.3): height and forward velocity of the root, angle and velocity of a
@@ -29,13 +29,13 @@ KINDS = ("root", "base", "joint", "ground")  # of nodes
 
 @dataclass(frozen=True)
 class Reading:
-    """One of the numbers that a node senses.
+    """Describe one sensor reading of a node.
 
     Attributes:
-        name: With its unit, ``angle_hip_right_rad``; what a robot's software calls it.
-        meaning: In words.
-        quantity: What kind of sensor it takes, which says how large its error is.
-        sign: +1 if it keeps its sign in the mirror, -1 if not.
+        name: Name with its unit, such as ``angle_hip_right_rad``, for the robot's software.
+        meaning: Meaning in words.
+        quantity: Measured quantity, which determines the size of the sensor's error.
+        sign: +1 if the reading keeps its sign in the mirror, -1 if not.
     """
 
     name: str
@@ -46,12 +46,12 @@ class Reading:
 
 @dataclass(frozen=True)
 class Sensed:
-    """What features read.
+    """Hold the inputs of features.
 
     Attributes:
         now: The measurement.
-        memory: What the task remembers, commands among it.
-        facts: Of the robot.
+        memory: Memory of the task, including its commands.
+        facts: Facts of the robot.
     """
 
     now: Measurement
@@ -61,17 +61,17 @@ class Sensed:
 
 @dataclass(frozen=True)
 class NodeFeature(ABC):
-    """A feature of every node of one kind.
+    """Compute a feature of every node of one kind.
 
     Class attributes:
-        kind: ``root``, ``base``, ``joint`` or ``ground``.
+        kind: Kind of node: ``root``, ``base``, ``joint`` or ``ground``.
     """
 
     kind: ClassVar[str]
 
     @abstractmethod
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> list[list[Reading | None]]:
-        """Return what the numbers of each node are; ``None`` for one that is always 0.
+        """Return the readings of each node; ``None`` for a number that is always 0.
 
         Args:
             robot: The robot.
@@ -80,24 +80,24 @@ class NodeFeature(ABC):
 
     @abstractmethod
     def __call__(self, sensed: Sensed) -> np.ndarray:
-        """Return the numbers, shape ``[*, nodes of the kind, numbers of a node]``."""
+        """Return the values, shape ``[*, nodes of the kind, numbers of a node]``."""
 
     def mirror_places(self, robot: Robot, nodes: tuple[str, ...]) -> np.ndarray | None:
-        """Return where the mirrored robot's numbers come from, node and number, shape ``[nodes, numbers, 2]``.
+        """Return the source (node, number) of each number of the mirrored robot, shape ``[nodes, numbers, 2]``.
 
-        ``None``: from the same number of the node's mirror image.
+        ``None`` stands for the same number of the node's mirror image.
         """
         return None
 
 
 @dataclass(frozen=True)
 class Height(NodeFeature):
-    """Sense the body's height from standing (m) at the root."""
+    """Measure the body's height from standing (m) at the root."""
 
     kind: ClassVar[str] = "root"
 
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> list[list[Reading | None]]:
-        """Return the height."""
+        """Return the reading of the height."""
         return [[Reading("height_m", "height of the root body, 0 when the robot stands", "length")]]
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
@@ -107,12 +107,12 @@ class Height(NodeFeature):
 
 @dataclass(frozen=True)
 class Velocity(NodeFeature):
-    """Sense the body's forward velocity (m/s) at the root."""
+    """Measure the body's forward velocity (m/s) at the root."""
 
     kind: ClassVar[str] = "root"
 
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> list[list[Reading | None]]:
-        """Return the velocity."""
+        """Return the reading of the velocity."""
         return [[Reading("velocity_m_s", "forward velocity of the root body", "velocity")]]
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
@@ -120,7 +120,7 @@ class Velocity(NodeFeature):
         return sensed.now.velocity[..., None, None]
 
 
-# Of a base that moves in more ways than forward and up: each coordinate's unit, and what it is.
+# Coordinates of a base beside forward and up: the unit and the meaning of each.
 COORDINATES = {
     "pitch": ("rad", "pitch of the root body from standing, nose down is positive"),
     "roll": ("rad", "roll of the root body from standing, right side down is positive"),
@@ -131,12 +131,12 @@ COORDINATES = {
 
 @dataclass(frozen=True)
 class BaseCoordinate(NodeFeature):
-    """Sense each other coordinate of the base, from standing (rad; ``side`` m)."""
+    """Measure each coordinate of the base beside position and height, from standing (rad; ``side`` m)."""
 
     kind: ClassVar[str] = "base"
 
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> list[list[Reading | None]]:
-        """Return the coordinates, a node each."""
+        """Return the readings of the coordinates, one a node."""
         rows: list[list[Reading | None]] = []
         for name in robot.base.extra:
             unit, meaning = COORDINATES[name]
@@ -151,12 +151,12 @@ class BaseCoordinate(NodeFeature):
 
 @dataclass(frozen=True)
 class BaseRate(NodeFeature):
-    """Sense the rate of each other coordinate of the base (rad/s; ``side`` m/s)."""
+    """Measure the rate of each coordinate of the base beside position and height (rad/s; ``side`` m/s)."""
 
     kind: ClassVar[str] = "base"
 
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> list[list[Reading | None]]:
-        """Return the rates, a node each."""
+        """Return the readings of the rates, one a node."""
         rows: list[list[Reading | None]] = []
         for name in robot.base.extra:
             unit, _ = COORDINATES[name]
@@ -172,12 +172,12 @@ class BaseRate(NodeFeature):
 
 @dataclass(frozen=True)
 class JointAngle(NodeFeature):
-    """Sense the angle of each joint (rad)."""
+    """Measure the angle of each joint (rad)."""
 
     kind: ClassVar[str] = "joint"
 
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> list[list[Reading | None]]:
-        """Return the angles, a node each."""
+        """Return the readings of the angles, one a node."""
         return [[Reading(f"angle_{n}_rad", "angle of the joint", "angle", robot.mirror_sign(n))] for n in nodes]
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
@@ -187,12 +187,12 @@ class JointAngle(NodeFeature):
 
 @dataclass(frozen=True)
 class JointVelocity(NodeFeature):
-    """Sense the velocity of each joint (rad/s)."""
+    """Measure the velocity of each joint (rad/s)."""
 
     kind: ClassVar[str] = "joint"
 
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> list[list[Reading | None]]:
-        """Return the velocities, a node each."""
+        """Return the readings of the velocities, one a node."""
         return [
             [Reading(f"velocity_{n}_rad_s", "velocity of the joint", "angular velocity", robot.mirror_sign(n))]
             for n in nodes
@@ -205,13 +205,13 @@ class JointVelocity(NodeFeature):
 
 @dataclass(frozen=True)
 class FootContact(NodeFeature):
-    """Sense whether each foot touches the ground (0 or 1): two numbers a ground node, one for each of its feet."""
+    """Detect the contact of each foot with the ground (0 or 1): two numbers a ground node, one for each of its feet."""
 
     kind: ClassVar[str] = "ground"
     WIDTH: ClassVar[int] = 2
 
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> list[list[Reading | None]]:
-        """Return the contacts of the feet of each node; a node of one foot has a number that is always 0."""
+        """Return the readings of the feet's contacts, two a node; a node of one foot has a number that is always 0."""
         rows: list[list[Reading | None]] = [[None] * self.WIDTH for _ in nodes]
         for foot, (node, place) in zip(robot.feet, foot_slots(robot), strict=True):
             rows[node][place] = Reading(f"down_{foot}", "1 if this body touches the ground, else 0", "contact")
@@ -225,7 +225,7 @@ class FootContact(NodeFeature):
         return numbers
 
     def mirror_places(self, robot: Robot, nodes: tuple[str, ...]) -> np.ndarray:
-        """Exchange the feet."""
+        """Return the sources that exchange the feet with their mirror images."""
         places = np.stack(np.meshgrid(np.arange(len(nodes)), np.arange(self.WIDTH), indexing="ij"), axis=-1)
         slots = foot_slots(robot)
         slots[:, 0] += len(nodes)
@@ -235,21 +235,22 @@ class FootContact(NodeFeature):
 
 
 class FeatureTable:
-    """Features composed for one robot: which number stands where in which node.
+    """Compose the features of one robot, and assign their numbers to its nodes.
 
-    Numbers of several features of one kind of node follow one another; nodes that sense less than others end in zeros.
+    Numbers of several features of one kind of node follow one another; nodes with fewer numbers are padded with zeros.
 
     Args:
-        features: By name, in order.
+        features: Features by name, in order.
         robot: The robot.
-        graph: Its graph; the nodes count, not the edges.
+        graph: The robot's graph, of which only the nodes are used.
 
     Attributes:
         width: ``F``, features of a node in one frame.
-        readings: What they are, for each node a row of ``F``; ``None`` for one that is always 0.
+        readings: Readings of each node, a row of ``F``; ``None`` for a number that is always 0.
 
     Raises:
-        ConfigError: If a feature is of an unknown kind, does not return what it says, or no node senses anything.
+        ConfigError: If a feature has an unknown kind, does not name as many readings for each of its nodes, or no node
+            has a feature.
     """
 
     def __init__(self, features: Mapping[str, NodeFeature], robot: Robot, graph: KinematicGraph) -> None:
@@ -282,7 +283,7 @@ class FeatureTable:
         self.readings = [row + [None] * (self.width - len(row)) for row in rows]
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
-        """Return the state of every node in one frame (section 2.3), ``float32 [*, N, F]``."""
+        """Return the features of every node in one frame (section 2.3), ``float32 [*, N, F]``."""
         numbers = np.zeros((*sensed.now.position.shape, self.graph.num_nodes, self.width), dtype=np.float32)
         for _, feature, nodes, start, width in self._placed:
             # Nodes of a kind follow one another.
@@ -290,7 +291,7 @@ class FeatureTable:
         return numbers
 
     def check(self, sensed: Sensed) -> None:
-        """Raise a :class:`.ConfigError` unless every feature returns finite numbers of the shape that it says."""
+        """Raise a :class:`.ConfigError` unless every feature returns finite numbers of the declared shape."""
         for name, feature, nodes, _, width in self._placed:
             try:
                 values = np.asarray(feature(sensed))
@@ -325,13 +326,13 @@ class FeatureTable:
         """Return the standard deviation of each number's error in a frame, shape ``[N, F]``.
 
         Args:
-            errors: Of each quantity; one that is not named is sure.
+            errors: Standard deviation of each quantity's error; 0 for a quantity that is missing.
         """
         return np.array([[0.0 if r is None else errors.get(r.quantity, 0.0) for r in row] for row in self.readings])
 
 
 def paper_features() -> dict[str, NodeFeature]:
-    """Return the features of the paper (section 2.3), and those of bases that a boom does not hold."""
+    """Return the features of the paper (section 2.3), and those of bases without a boom."""
     return {
         "height": Height(),
         "velocity": Velocity(),

@@ -1,4 +1,4 @@
-"""Arrays that gait terms remember: for how long each foot has been down or up, and each hip on one side."""
+"""Arrays that gait terms remember: durations of each foot's contact and swing, and of each hip on one side."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a control step measures of a robot: arrays, an entry for each robot."""
+"""Measurements of a control step: arrays, with an entry for each robot."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Measurement:
-    """What one control step measures.
+    """Hold the measurements of one control step.
 
     Attributes:
         position: Distance walked, shape ``[*]`` (m).
@@ -36,27 +36,27 @@ class Measurement:
     tilt: np.ndarray
 
     def to_dict(self) -> dict[str, np.ndarray]:
-        """Copy the arrays, by name."""
+        """Return copies of the arrays, by name."""
         return {field.name: np.array(getattr(self, field.name)) for field in fields(self)}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, np.ndarray]) -> Measurement:
-        """Build a measurement from what :meth:`to_dict` gave."""
+        """Build a measurement from the arrays of :meth:`to_dict`."""
         return cls(**{field.name: np.array(values[field.name]) for field in fields(cls)})
 
     def put(self, robots: np.ndarray, part: Measurement) -> Measurement:
-        """Replace the rows ``robots`` of arrays ``[N, ...]`` by those of ``part``; returns new arrays."""
+        """Replace the rows ``robots`` of arrays ``[N, ...]`` by those of ``part``, in new arrays."""
         return Measurement(**put_rows(vars(self), robots, vars(part)))
 
     def take(self, robots: np.ndarray) -> Measurement:
-        """Take the rows ``robots`` of arrays ``[N, ...]``."""
+        """Select the rows ``robots`` of arrays ``[N, ...]``."""
         return Measurement(**{field.name: getattr(self, field.name)[robots] for field in fields(self)})
 
 
 def put_rows(
     whole: Mapping[str, np.ndarray], robots: np.ndarray, part: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """Replace the rows ``robots`` of each array ``[N, ...]`` by those of ``part``; returns new arrays."""
+    """Replace the rows ``robots`` of each array ``[N, ...]`` by those of ``part``, in new arrays."""
     merged = {}
     for name, values in whole.items():
         merged[name] = values.copy()

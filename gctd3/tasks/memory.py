@@ -1,4 +1,4 @@
-"""What a task remembers of an episode: the arrays that its terms declare, a step counter, and commands."""
+"""The memory of an episode: the arrays that the task's terms declare, a step counter, and commands."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from gctd3.tasks.terms import Command, Remembered, RobotFacts, Step, Term, readi
 
 Memory = dict[str, np.ndarray]  # by name; every array is overwritten by the next, none changes in place
 Generator = np.random.Generator | np.random.RandomState
-COMMAND = "command."  # before a command's name, what is remembered of it
+COMMAND = "command."  # prefix of a command's name in the memory
 
 
 class EpisodeMemory:
-    """Begins and advances what is remembered.
+    """Begin and advance the memory of an episode.
 
     Args:
-        terms: Whose arrays are remembered, by a name for messages.
-        commands: By name.
-        facts: Of the robot.
+        terms: Terms whose arrays are remembered, by a name for messages.
+        commands: Commands by name.
+        facts: Facts of the robot.
 
     Raises:
-        ConfigError: If two terms remember different things by one name.
+        ConfigError: If two terms remember different arrays by one name.
     """
 
     def __init__(self, terms: Mapping[str, Term], commands: Mapping[str, Command], facts: RobotFacts) -> None:
@@ -40,7 +40,7 @@ class EpisodeMemory:
         self.asked = {name: where for name, (where, _) in found.items()}
 
     def begin(self, now: Measurement, rng: Generator | None = None) -> Memory:
-        """Return the memory of an episode that starts with a measurement; see :meth:`.SimulatedTask.begin`."""
+        """Return the memory at the start of an episode; see :meth:`.SimulatedTask.begin`."""
         memory = {STEPS: np.zeros(now.position.shape, dtype=np.int64)}
         memory |= {name: np.asarray(one.begin(now, self.facts)) for name, one in self.remembered.items()}
         for name, command in self.commands.items():
@@ -48,7 +48,7 @@ class EpisodeMemory:
         return memory
 
     def advance(self, step: Step, rng: Generator | None = None) -> Memory:
-        """Return the memory after a step whose ``before`` is the memory before it."""
+        """Return the memory after a step, where ``step.before`` is the memory before it."""
         before = step.before
         after = {STEPS: before[STEPS] + 1}
         after |= {name: one.update(before[name], step) for name, one in self.remembered.items()}
@@ -57,11 +57,11 @@ class EpisodeMemory:
         return after
 
     def check(self, first: Memory, step: Step) -> None:
-        """Raise a :class:`.ConfigError` unless arrays are of the shape that is declared, and stay of their type.
+        """Raise a :class:`.ConfigError` unless the arrays have the declared shapes and keep their types.
 
         Args:
-            first: Of :meth:`begin`.
-            step: After it.
+            first: Memory that :meth:`begin` returned.
+            step: Step that follows it.
         """
         for name, one in self.remembered.items():
             expected = (*step.now.position.shape, *map(self.facts.size, one.shape))

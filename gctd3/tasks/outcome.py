@@ -1,4 +1,4 @@
-"""What a control step was worth, and whether it ended the episode."""
+"""The outcome of a control step: its reward, and whether it ended the episode."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a step was worth and whether it ended the episode; every array has shape ``[*]``.
+    """Hold the reward of a step and whether it ended the episode; every array has shape ``[*]``.
 
     Attributes:
-        terms: The reward, term by term; its sum is :attr:`reward`.
-        terminated: A termination holds whose value is not bootstrapped.
-        truncated: Another one holds (and none of those).
-        success: One holds that the task is about (and none of those that terminate).
-        diverged: The simulation failed.
+        terms: Terms of the reward by name; their sum is :attr:`reward`.
+        terminated: Whether a termination holds whose value is not bootstrapped.
+        truncated: Whether a termination holds whose value is bootstrapped, and the episode is not terminated.
+        success: Whether a successful termination holds, and the episode is not terminated.
+        diverged: Whether the simulation failed.
     """
 
     terms: dict[str, Any]
@@ -29,6 +29,6 @@ class Outcome:
 
     @property
     def reward(self) -> np.ndarray:
-        """Sum the terms, in their order."""
+        """Return the sum of the terms, added in their order."""
         total: np.ndarray = functools.reduce(lambda total, term: total + term, self.terms.values())
         return total

@@ -1,4 +1,4 @@
-"""Randomisations of where and how an episode begins."""
+"""Randomisations of the initial state of an episode."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gctd3.tasks.terms import Randomisation
 
 @dataclass(frozen=True)
 class JointNoise(Randomisation):
-    """Put every joint off its start by a uniform random amount.
+    """Add uniform noise to the initial angle and velocity of every joint.
 
     Attributes:
         angle: Largest deviation of a joint's angle from the pose in which episodes begin (rad).
@@ -30,7 +30,7 @@ class JointNoise(Randomisation):
     def __call__(
         self, rng: np.random.Generator | np.random.RandomState, robot: Robot, qpos: np.ndarray, qvel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return pose and velocities with noise on the joints; first the angles are drawn, then the velocities."""
+        """Return pose and velocities with noise on the joints, drawn for the angles first, then for the velocities."""
         qpos, qvel, count = qpos.copy(), qvel.copy(), len(robot.joints)
         qpos[[joint.qpos for joint in robot.joints]] += rng.uniform(-self.angle, self.angle, count)
         qvel[[joint.qvel for joint in robot.joints]] += rng.uniform(-self.velocity, self.velocity, count)

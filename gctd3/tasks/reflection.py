@@ -1,6 +1,6 @@
-"""The mirror image of what a robot senses and does: reflection in its sagittal (xz) plane, as signed permutations.
+"""Reflection of a robot's observations and actions in its sagittal (xz) plane, as signed permutations.
 
-Pure NumPy. A robot whose left and right sides are equal moves, after its state and its actions were reflected, as the
+Pure NumPy. If the left and right sides of a robot are equal, the reflection of its state and its actions gives the
 reflection of its motion.
 """
 
@@ -20,11 +20,11 @@ from gctd3.tasks.features import FeatureTable, paper_features
 
 @dataclass(frozen=True, eq=False)
 class SignedPermutation:
-    """``reflected[..., i] = sign[i] * values[..., source[i]]``; done twice it changes nothing.
+    """Represent ``reflected[..., i] = sign[i] * values[..., source[i]]``, which is its own inverse.
 
     Attributes:
-        source: Shape ``[D]``, integers.
-        sign: Shape ``[D]``, +1 or -1.
+        source: Index of the source of each value, shape ``[D]``, integers.
+        sign: Sign of each value, shape ``[D]``, +1 or -1.
     """
 
     source: np.ndarray
@@ -40,7 +40,7 @@ class SignedPermutation:
 
     @property
     def matrix(self) -> np.ndarray:
-        """``M`` with ``values @ M`` the reflected values. Shape ``[D, D]``."""
+        """Return the matrix ``M`` of shape ``[D, D]`` for which ``values @ M`` are the reflected values."""
         matrix = np.zeros((len(self.source), len(self.source)))
         matrix[self.source, np.arange(len(self.source))] = self.sign
         return matrix
@@ -48,14 +48,14 @@ class SignedPermutation:
 
 @dataclass(frozen=True, eq=False)
 class Reflection:
-    """How a robot's observations and actions look in the mirror.
+    """Represent the reflection of a robot's observations and actions.
 
     Attributes:
-        features: Features of a node in one frame.
-        frame: Of the nodes' features in one frame, node after node; length ``N * features``.
-        action: Length ``A``.
-        counters: Of what only the critics see.
-        static: Features of a node behind all frames that never change.
+        features: Number of features of a node in one frame.
+        frame: Reflection of the nodes' features in one frame, node after node; length ``N * features``.
+        action: Reflection of the action; length ``A``.
+        counters: Reflection of the critics' privileged input.
+        static: Number of constant features of a node, after those of all frames.
     """
 
     features: int
@@ -72,20 +72,21 @@ class Reflection:
         counters: Sequence[tuple[np.ndarray, np.ndarray]] = (),
         static: int = 0,
     ) -> Reflection:
-        """Return the reflection of a robot whose nodes sense what a table says.
+        """Return the reflection of a robot whose nodes have the features of a table.
 
-        Joints change places with their mirror images and their angles and velocities their signs, as the joints' axes
-        ask; contacts of feet change places too.
+        Joints exchange places with their mirror images, and their angles and velocities change signs as their axes
+        require; contacts of feet exchange places too.
 
         Args:
             robot: The robot.
-            table: What its nodes sense.
-            counters: Source and sign of each part of what only the critics see, see :meth:`.Termination.clock_mirror`.
-            static: Features of a node behind all frames that never change, as :meth:`.NodeSensor.static` has them.
+            table: Features of its nodes.
+            counters: Source and sign of each part of the critics' privileged input, see
+                :meth:`.Termination.clock_mirror`.
+            static: Number of constant features of a node, after those of all frames, see :meth:`.NodeSensor.static`.
 
         Raises:
-            RobotError: If it has a ball joint, or its base can leave the sagittal plane and its joints are not the same
-                on both sides of it.
+            RobotError: If the robot has a ball joint, or its base can leave the sagittal plane and its joints are not
+                symmetric to that plane.
         """
         _check_reflected(robot)
         graph = table.graph
@@ -109,16 +110,17 @@ class Reflection:
 
     @classmethod
     def from_robot(cls, robot: Robot, static: int = 0) -> Reflection:
-        """Return the reflection of a robot whose nodes sense what the paper's do; see :meth:`of`."""
+        """Return the reflection of a robot whose nodes have the paper's features; see :meth:`of`."""
         return cls.of(robot, FeatureTable(paper_features(), robot, KinematicGraph.from_robot(robot)), static=static)
 
     def nodes(self, width: int) -> SignedPermutation:
-        """Of stacked frames, node after node, each node's frames from the oldest to the newest, then what is static.
+        """Return the reflection of stacked frames, node after node: frames from oldest to newest, then static features.
 
-        That says which joint a node is, and in the mirror it is the same joint: it stays.
+        Static features identify the joint of a node. The reflection leaves them unchanged, since the joint stays the
+        same.
 
         Args:
-            width: Features of a node over all frames, and those that never change.
+            width: Number of features of a node over all frames, static ones included.
 
         Raises:
             ValueError: If ``width`` is not a whole number of frames and the static features.
@@ -143,7 +145,7 @@ class Reflection:
 
 
 def _check_reflected(robot: Robot) -> None:
-    """A base that stays in the sagittal plane moves alike whatever lies to the left and to the right of it."""
+    """Raise unless the joints are symmetric, or the base stays in the sagittal plane, where it does not matter."""
     if not {"side", "roll", "yaw"} & set(robot.base.coordinates):
         return
     odd = unreflected(robot.model, robot.joints, robot.mirror, robot.base.frame[1])

@@ -1,4 +1,4 @@
-"""The reward: terms by name, summed in their order."""
+"""The reward: a sum of named terms."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def paper_terms() -> dict[str, RewardTerm]:
 
 @dataclass(frozen=True)
 class Reward:
-    """What a step is worth.
+    """Hold the terms of the reward.
 
     Attributes:
-        terms: Summands by name, in the order in which they are summed; ``None`` for one that is left out.
+        terms: Terms by name, in the order of their sum; ``None`` leaves one out.
     """
 
     terms: Mapping[str, Any] = field(default_factory=paper_terms)
@@ -41,5 +41,5 @@ class Reward:
         object.__setattr__(self, "terms", check_terms("terms", self.terms, RewardTerm))
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
-        """Return what each term is, for files that say how something was judged."""
+        """Return the class and the settings of each term, for files that record the reward of an evaluation."""
         return {name: {"term": type(term).__name__, **asdict(term)} for name, term in self.terms.items()}

@@ -1,7 +1,7 @@
 """Terms of the walking reward; their defaults are the paper's numbers.
 
-Source: Phan Bui et al. 2022, Table 3, and the training script that the paper's authors released; which number has which
-source stands in ``conf/reward/paper.yaml``.
+Source: Phan Bui et al. 2022, Table 3, and the training script that the paper's authors released;
+``conf/reward/paper.yaml`` names the source of each number.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from gctd3.tasks.terms import Array, Remembered, RewardTerm, RobotFacts, Step, r
 
 @dataclass(frozen=True)
 class ForwardVelocity(RewardTerm):
-    """Pay for forward velocity up to a target: ``weight * min(v, target)`` (Table 3).
+    """Reward forward velocity up to a target: ``weight * min(v, target)`` (Table 3).
 
     Attributes:
-        target: Velocity beyond which the bonus no longer grows (m/s).
+        target: Velocity above which the reward is constant (m/s).
     """
 
     target: float = 0.9
@@ -31,11 +31,11 @@ class ForwardVelocity(RewardTerm):
 
 @dataclass(frozen=True)
 class Progress(RewardTerm):
-    """Pay for the way made over the last steps: ``weight * (y_t - y_(t-h))`` (Table 3).
+    """Reward the distance covered over the last steps: ``weight * (y_t - y_(t-h))`` (Table 3).
 
     Attributes:
-        weight: Bonus per metre (1/m).
-        steps: ``h`` (control steps).
+        weight: Reward per metre (1/m).
+        steps: Number of steps ``h`` (control steps).
     """
 
     weight: float = 0.2
@@ -45,11 +45,11 @@ class Progress(RewardTerm):
         check_between(self, 1, 1000, "steps")
 
     def remembers(self) -> tuple[Remembered, ...]:
-        """Return the last ``h + 1`` positions."""
+        """Return the array of the last ``h + 1`` positions."""
         return (recent("position", self.steps + 1),)
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the way made, shape ``[*]``."""
+        """Return ``weight`` times the distance covered, shape ``[*]``."""
         positions = step.after[f"position[{self.steps + 1}]"]
         return self.weight * (positions[..., -1] - positions[..., 0])
 
@@ -58,13 +58,13 @@ class Progress(RewardTerm):
 class BodyHeight(RewardTerm):
     """Penalise the distance of the body from its target height, summed over stacked frames (Table 3).
 
-    A frame in which no foot is down costs nothing here.
+    Frames without ground contact are not penalised here.
 
     Attributes:
-        weight: ``-c1``, per metre and frame (1/m).
-        single: Target height with one foot down (m from standing).
-        double: Target height with more feet down (m from standing).
-        frames: Stacked frames.
+        weight: Reward ``-c1`` per metre and frame (1/m).
+        single: Target height in single support (m from standing).
+        double: Target height with more feet on the ground (m from standing).
+        frames: Number of stacked frames.
     """
 
     weight: float = -0.005
@@ -76,7 +76,7 @@ class BodyHeight(RewardTerm):
         check_between(self, 1, 1000, "frames")
 
     def remembers(self) -> tuple[Remembered, ...]:
-        """Return the stacked frames' heights and contacts."""
+        """Return the arrays of the stacked frames' heights and contacts."""
         return recent("height", self.frames), recent("feet_down", self.frames, "feet")
 
     def __call__(self, step: Step) -> Array:
@@ -89,12 +89,12 @@ class BodyHeight(RewardTerm):
 
 @dataclass(frozen=True)
 class Flight(RewardTerm):
-    """Penalise stacked frames in which no foot is down (released script).
+    """Penalise stacked frames without ground contact (released script).
 
     Attributes:
-        weight: Per frame.
-        free: Frames that cost nothing.
-        frames: Stacked frames.
+        weight: Reward per frame.
+        free: Number of such frames without a penalty.
+        frames: Number of stacked frames.
     """
 
     weight: float = -0.01
@@ -106,11 +106,11 @@ class Flight(RewardTerm):
         check_between(self, 0, 1000, "free")
 
     def remembers(self) -> tuple[Remembered, ...]:
-        """Return the stacked frames' contacts."""
+        """Return the array of the stacked frames' contacts."""
         return (recent("feet_down", self.frames, "feet"),)
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the number of frames, shape ``[*]``."""
+        """Return ``weight`` times the number of frames in flight above ``free``, shape ``[*]``."""
         xp = step.xp
         feet = xp.sum(step.after[f"feet_down[{self.frames}]"], axis=-1)
         up = xp.sum(feet == 0, axis=-1) - self.free
@@ -119,7 +119,7 @@ class Flight(RewardTerm):
 
 @dataclass(frozen=True)
 class Living(RewardTerm):
-    """Pay, or with a negative weight charge, for each step (released script)."""
+    """Reward each step, or penalise it with a negative weight (released script)."""
 
     weight: float = -0.1
 
@@ -141,7 +141,7 @@ class Ended(RewardTerm):
     by: str = "fall"
 
     def reads(self) -> tuple[str, ...]:
-        """Return the termination."""
+        """Return the name of the termination."""
         return (self.by,)
 
     def __call__(self, step: Step) -> Array:
@@ -151,16 +151,16 @@ class Ended(RewardTerm):
 
 @dataclass(frozen=True)
 class Antiphase(RewardTerm):
-    """Penalise the sum of the hip angles of a left and a right leg, which is zero when they are opposite.
+    """Penalise the absolute sum of a left and a right leg's hip angles, which is zero when they are opposite.
 
     Attributes:
-        weight: Per radian (1/rad).
+        weight: Reward per radian (1/rad).
     """
 
     weight: float = -0.3
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the sum over the pairs of legs, shape ``[*]``."""
+        """Return ``weight`` times the absolute sum of hip angles, summed over the pairs of legs, shape ``[*]``."""
         xp, facts, hips = step.xp, step.facts, step.hips
         hips = hips * step.constant(facts.hip_signs, hips)
         first, second = (xp.take(hips, xp.asarray(feet), axis=-1) for feet in facts.foot_pairs.T)
@@ -169,12 +169,12 @@ class Antiphase(RewardTerm):
 
 @dataclass(frozen=True)
 class SingleSupport(RewardTerm):
-    """Pay for each step with exactly one foot down."""
+    """Reward each step with exactly one foot on the ground."""
 
     weight: float = 0.1
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` where one foot is down, else 0, shape ``[*]``."""
+        """Return ``weight`` where one foot is on the ground, else 0, shape ``[*]``."""
         xp = step.xp
         return self.weight * xp.astype(xp.sum(step.now.feet_down, axis=-1) == 1, step.now.velocity.dtype)
 
@@ -184,7 +184,7 @@ class Overspeed(RewardTerm):
     """Penalise forward velocity above a bound.
 
     Attributes:
-        weight: Per m/s above it (s/m).
+        weight: Reward per m/s above the bound (s/m).
         above: The bound (m/s).
     """
 
@@ -199,14 +199,14 @@ class Overspeed(RewardTerm):
 
 @dataclass(frozen=True)
 class SwingTime(RewardTerm):
-    """Penalise, at a foot's touchdown, a time in the air that is too short or too long.
+    """Penalise, at a foot's touchdown, a swing time that is too short or too long.
 
-    After ``feet_air_time`` of Rudin et al. 2022 (arXiv:2109.11978), which pays for longer times.
+    The term follows ``feet_air_time`` of Rudin et al. 2022 (arXiv:2109.11978), which rewards longer times.
 
     Attributes:
-        weight: Per second too short or too long (1/s).
-        least: Shortest time that costs nothing (s).
-        most: Longest time that costs nothing (s).
+        weight: Reward per second too short or too long (1/s).
+        least: Shortest swing time without a penalty (s).
+        most: Longest swing time without a penalty (s).
     """
 
     weight: float = -12.0
@@ -218,17 +218,17 @@ class SwingTime(RewardTerm):
             raise ConfigError(f"least must be at least 0 s and at most most, got {self.least} and {self.most}.")
 
     def remembers(self) -> tuple[Remembered, ...]:
-        """Return for how long each foot has been up."""
+        """Return the array of each foot's swing time."""
         return (AIR_STEPS,)
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times what is missing or too much, summed over the feet that touch down, shape ``[*]``."""
+        """Return ``weight`` times the lacking or excess time, summed over the feet that touch down, shape ``[*]``."""
         xp, before = step.xp, step.before[AIR_STEPS.name]
         in_air = before * step.facts.control_dt
         short, long = self.least - in_air, in_air - self.most
         off = xp.where(short > 0.0, short, 0.0) + xp.where(long > 0.0, long, 0.0)
         touchdown = step.now.feet_down & (before > 0)
-        # The weight stands inside of the sum: sums of products are not products of sums, in the last bit.
+        # The weight is inside the sum, since to multiply the sum by it would differ in the last bit.
         return xp.sum(xp.where(touchdown, self.weight * off, 0.0), axis=-1)
 
 
@@ -237,7 +237,7 @@ class Tilt(RewardTerm):
     """Penalise the angle between the body's vertical and the world's; a boom holds it at zero.
 
     Attributes:
-        weight: Per radian (1/rad).
+        weight: Reward per radian (1/rad).
     """
 
     weight: float = -0.5
@@ -249,16 +249,16 @@ class Tilt(RewardTerm):
 
 @dataclass(frozen=True)
 class Heading(RewardTerm):
-    """Penalise turning away from the forward axis, for a base that can turn.
+    """Penalise the yaw angle from the forward axis, for a base that can yaw.
 
     Attributes:
-        weight: Per radian (1/rad).
+        weight: Reward per radian (1/rad).
     """
 
     weight: float = -0.5
 
     def applies(self, facts: RobotFacts) -> bool:
-        """Return whether the base can turn."""
+        """Return whether the base can yaw."""
         return "yaw" in facts.base
 
     def __call__(self, step: Step) -> Array:
@@ -268,10 +268,10 @@ class Heading(RewardTerm):
 
 @dataclass(frozen=True)
 class OffLine(RewardTerm):
-    """Penalise the distance from the straight line, for a base that can move sideways.
+    """Penalise the lateral distance from the straight line, for a base that can move sideways.
 
     Attributes:
-        weight: Per metre (1/m).
+        weight: Reward per metre (1/m).
     """
 
     weight: float = -0.3

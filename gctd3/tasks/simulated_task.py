@@ -1,4 +1,4 @@
-"""A task that gctd3 simulates, composed of terms.
+"""Tasks that gctd3 simulates, composed of terms.
 
 Stage three of the data flow, shared by every backend. Everything takes arrays with any leading dimensions ``*`` (none
 for one robot, ``[N]`` for a batch) and returns new ones; nothing here steps a simulator.
@@ -29,14 +29,14 @@ from gctd3.tasks.terms import Command, Randomisation, RobotFacts, Step, Terminat
 
 @dataclass(frozen=True)
 class Composition(TaskSettings):
-    """A task composed of terms, of which each is a mapping by name; ``None`` leaves one out.
+    """Hold the settings of a task composed of terms, mappings by name; ``None`` leaves a term out.
 
     Attributes:
         control_dt: Control period (s).
-        features: What the nodes sense, in the order in which it stands in a node.
-        terminations: When an episode ends.
-        randomisations: What differs from one start to the next.
-        commands: What the robot is told to do.
+        features: Features of the nodes, in their order within a node.
+        terminations: Terminations that end an episode.
+        randomisations: Randomisations of the start of an episode.
+        commands: Commands to the robot.
     """
 
     control_dt: float = 0.02
@@ -64,16 +64,16 @@ class Composition(TaskSettings):
 
 
 class SimulatedTask:
-    """A robot on whatever base, what it senses, what each step is worth, and when an episode ends.
+    """Define the observations, the reward and the terminations of a simulated robot on any base.
 
     Args:
         robot: The robot.
         reward: The reward.
-        settings: The other terms.
+        settings: The other terms of the task.
         graph: The robot's graph; its tree if ``None``.
 
     Raises:
-        RobotError: If the robot lacks what walking asks for, see :meth:`.Robot.check_walking`.
+        RobotError: If the robot does not meet the requirements of :meth:`.Robot.check_walking`.
         ConfigError: If a term does not fit the robot or another term.
     """
 
@@ -119,7 +119,7 @@ class SimulatedTask:
         return {name: term for name, term in terms.items() if term is not None and term.applies(self.facts)}
 
     def _reward_terms(self) -> dict[str, Any]:
-        """The terms that apply; one that reads a termination which this task leaves out is left out, too."""
+        """Return the reward terms that apply, without those that read a termination which this task leaves out."""
         fitting, known = self._fitting(self.reward.terms), self.settings.terminations
         for name, term in fitting.items():
             for end in term.reads():
@@ -131,7 +131,7 @@ class SimulatedTask:
         return {n: term for n, term in fitting.items() if all(end in self.terminations for end in term.reads())}
 
     def _try(self) -> None:
-        """Run every term once, on the standing robot, so that one that does not fit is named before long work."""
+        """Run every term once, on the standing robot, so that one that does not fit is reported early."""
         robot, batch = self.robot, (2,)
         model = robot.model
         zeros = np.zeros((*batch, model.nv)), np.zeros((*batch, model.nsensordata))
@@ -160,7 +160,7 @@ class SimulatedTask:
     # Measuring.
 
     def measure(self, qpos: np.ndarray, qvel: np.ndarray, sensordata: np.ndarray) -> Measurement:
-        """Read the simulator: ``qpos [*, nq]``, ``qvel [*, nv]``, ``sensordata [*, ns]``."""
+        """Return the measurement of a simulator's ``qpos [*, nq]``, ``qvel [*, nv]`` and ``sensordata [*, ns]``."""
         read = self._base.read(qpos, qvel)
         place = {name: np.asarray(value - self._standing[name]) for name, (value, _) in read.items()}
         if self.facts.base:
@@ -183,11 +183,11 @@ class SimulatedTask:
         )
 
     def node_features(self, now: Measurement, memory: Memory | None = None) -> np.ndarray:
-        """Return the state of every node in one frame, ``float32 [*, N, F]``; see :class:`.FeatureTable`."""
+        """Return the features of every node in one frame, ``float32 [*, N, F]``; see :class:`.FeatureTable`."""
         return self.table(Sensed(now, memory or {}, self.facts))
 
     def counters(self, memory: Memory) -> np.ndarray:
-        """Return how near each time-based termination is, ``float32 [*, K]``: for critics, never for a policy."""
+        """Return the progress to each time-based termination, ``float32 [*, K]``, for critics, not policies."""
         parts = [term.clock(memory, self.facts, self.time_limit) for term in self.terminations.values()]
         shown = [part for part in parts if part is not None]
         if not shown:
@@ -195,25 +195,25 @@ class SimulatedTask:
         return np.concatenate(shown, axis=-1).astype(np.float32)
 
     def reflection(self) -> Reflection:
-        """Return how observations, actions and counters look in the mirror."""
+        """Return the reflection of observations, actions and counters."""
         mirrors = [term.clock_mirror(self.facts) for term in self.terminations.values()]
         return Reflection.of(self.robot, self.table, mirrors)
 
     # Episodes.
 
     def start(self, rng: Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Draw the pose ``[nq]`` and velocities ``[nv]`` of one robot with which an episode begins."""
+        """Draw the initial pose ``[nq]`` and velocities ``[nv]`` of one robot."""
         qpos, qvel = self.robot.start_qpos.copy(), np.zeros(self.robot.model.nv)
         for randomise in self.randomisations.values():
             qpos, qvel = randomise(rng, self.robot, qpos, qvel)
         return qpos, qvel
 
     def begin(self, now: Measurement, rng: Generator | None = None) -> Memory:
-        """Return the memory of an episode that starts with this measurement.
+        """Return the memory at the start of an episode.
 
         Args:
-            now: The measurement.
-            rng: Of commands; a task without them needs none.
+            now: The first measurement of the episode.
+            rng: Generator of commands; a task without commands needs none.
         """
         return self.memory.begin(now, rng)
 
@@ -225,14 +225,14 @@ class SimulatedTask:
         diverged: np.ndarray | None = None,
         rng: Generator | None = None,
     ) -> tuple[Memory, Outcome]:
-        """Make one control step: the memory after it, and its outcome.
+        """Return the memory after a control step, and its outcome.
 
         Args:
             before: The memory before the step.
-            now: What is measured after it.
-            action: That was taken, in [-1, 1], shape ``[*, A]``; zeros if ``None``.
+            now: The measurement after the step.
+            action: The action of the step in [-1, 1], shape ``[*, A]``; zeros if ``None``.
             diverged: Whether the simulation failed, shape ``[*]``, which counts as a fall; nowhere if ``None``.
-            rng: Of commands; a task without them needs none.
+            rng: Generator of commands; a task without commands needs none.
         """
         shape = now.position.shape
         failed = diverged if diverged is not None else np.zeros(shape, dtype=bool)
@@ -257,7 +257,7 @@ class SimulatedTask:
         truncated = any_of("truncates", True) & ~terminated
         return Outcome(terms, terminated, truncated, any_of("succeeds", True) & ~terminated, diverged)
 
-    # The same task, otherwise.
+    # Variants of the task.
 
     def judged_by(self, reward: Reward) -> SimulatedTask:
         """Return the same task under another reward."""
@@ -268,6 +268,6 @@ class SimulatedTask:
         return type(self)(robot, self.reward, self.settings, self.graph)
 
     def endless(self) -> SimulatedTask:
-        """Return the same task whose episodes end only by what the robot could not go on from."""
+        """Return the same task with fatal terminations only, after which the robot could not continue."""
         kept = {n: term if term is not None and term.fatal else None for n, term in self.settings.terminations.items()}
         return type(self)(self.robot, self.reward, replace(self.settings, terminations=kept), self.graph)

@@ -1,8 +1,8 @@
-"""What every task is: a robot, its graph, what the nodes sense, and what can be done with it.
+"""The interface of tasks: a robot, its graph, the features of its nodes, backends and abilities.
 
 Two kinds of tasks fulfil :class:`Task`: those that gctd3 simulates (:class:`.SimulatedTask`), on any backend, and those
-of other libraries, which step their own simulators. Nobody asks which one it is: a task says on which backends it runs
-and what it is able to.
+of other libraries, which step their own simulators. Callers do not distinguish them: a task declares its backends and
+its abilities.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.reward import Reward
 
-MOST_FRAMES = 1000  # stacked into an observation
+MOST_FRAMES = 1000  # limit of frames stacked into an observation
 Ability = Literal["film", "export", "robustness", "mirror"]
 
 
 class Task(Protocol):
-    """A task on one robot.
+    """Represent a task on one robot.
 
     Attributes:
-        name: What to call it.
+        name: Name of the task.
         robot: The robot.
-        graph: Of what is observed.
+        graph: Graph of the observed nodes.
         features: ``F``, features of a node in one frame.
-        history: Frames stacked into an observation.
+        history: Number of frames stacked into an observation.
         control_dt: Control period (s).
-        num_counters: Length of what only critics see.
-        backends: On which it runs; see :class:`.EnvSettings`.
-        abilities: What can be done with it and its policies.
+        num_counters: Length of the critics' privileged input.
+        backends: Backends on which the task runs; see :class:`.EnvSettings`.
+        abilities: Operations that the task and its policies support.
     """
 
     name: str
@@ -48,22 +48,22 @@ class Task(Protocol):
     abilities: frozenset[Ability]
 
     def reflection(self) -> Reflection:
-        """Return how its observations and actions look in the mirror.
+        """Return the reflection of the task's observations and actions.
 
         Raises:
-            RobotError: If the robot is not the same on its left and its right.
+            RobotError: If the robot's left and right sides are not symmetric.
         """
 
     def judged_by(self, reward: Reward) -> Task:
-        """Return the same task under another reward; one that brings its own stays as it is."""
+        """Return the same task under another reward; a task with a reward of its own is unchanged."""
 
 
 @dataclass(frozen=True)
 class TaskSettings(ABC):
-    """What is asked of a robot.
+    """Hold the settings of a task.
 
     Attributes:
-        history: Frames stacked into an observation.
+        history: Number of frames stacked into an observation.
     """
 
     history: int = 5
@@ -82,7 +82,7 @@ class TaskSettings(ABC):
 
 
 def check_able(task: Task, ability: Ability, run: object) -> None:
-    """Raise a :class:`.RunError` unless a run's task is able to something."""
+    """Raise a :class:`.RunError` unless a run's task has an ability."""
     if ability not in task.abilities:
         raise RunError(f"{run} was trained on {task.name}: {ability} is for tasks that gctd3 simulates.")
 

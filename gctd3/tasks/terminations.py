@@ -1,7 +1,7 @@
 """Terminations of the walking task; their defaults are the paper's numbers.
 
-Source: Phan Bui et al. 2022, Table 3 and section 3.2, and the training script that the paper's authors released; which
-number has which source stands in ``conf/task/walk.yaml``.
+Source: Phan Bui et al. 2022, Table 3 and section 3.2, and the training script that the paper's authors released;
+``conf/task/walk.yaml`` names the source of each number.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from gctd3.tasks.gait_memory import AIR_STEPS, CONTACT_STEPS, HIP_POSITIVE, HIP_
 from gctd3.tasks.terms import Array, Remembered, RobotFacts, Step, Termination
 
 MOST_STEPS = 10**9  # control steps
-STEPS = "step"  # what every task remembers: control steps of the episode, shape [*]
+STEPS = "step"  # name of the remembered control steps of the episode, shape [*]
 
 
 @dataclass(frozen=True)
 class Fall(Termination):
-    """End when the body has dropped or tilted, when anything but a foot is on the ground, or the simulation failed.
+    """Terminate when the body drops or tilts, another part than a foot touches the ground, or the simulation fails.
 
     Attributes:
         height: Body height below which the robot has fallen (m from standing; released script).
-        tilt: Angle between the body's vertical and the world's above which it has fallen (rad); ``None`` for any. A
-            boom holds the body upright.
+        tilt: Angle between the body's vertical and the world's above which the robot has fallen (rad); ``None`` for no
+            bound. A boom holds the body upright.
     """
 
     fatal: ClassVar[bool] = True
@@ -40,7 +40,7 @@ class Fall(Termination):
             raise ConfigError(f"tilt must be above 0 rad, or null, got {self.tilt}.")
 
     def __call__(self, step: Step) -> Array:
-        """Return whether it has fallen, shape ``[*]``."""
+        """Return whether the robot has fallen, shape ``[*]``."""
         now = step.now
         fell = (now.height < self.height) | now.other_down | step.diverged
         return fell if self.tilt is None else fell | (now.tilt > self.tilt)
@@ -48,10 +48,10 @@ class Fall(Termination):
 
 @dataclass(frozen=True)
 class LongContact(Termination):
-    """End when a foot has been down for too long (Table 3).
+    """Terminate when a foot has been on the ground for too long (Table 3).
 
     Attributes:
-        steps: Control steps that a foot may stay down (released script); ``None`` for any number.
+        steps: Longest contact of a foot (control steps; released script); ``None`` for no limit.
     """
 
     steps: int | None = 40
@@ -60,28 +60,28 @@ class LongContact(Termination):
         check_steps(self.steps)
 
     def remembers(self) -> tuple[Remembered, ...]:
-        """Return for how long each foot has been down, and up."""
+        """Return the arrays of each foot's contact time and swing time."""
         return CONTACT_STEPS, AIR_STEPS
 
     def __call__(self, step: Step) -> Array:
-        """Return whether some foot has, shape ``[*]``."""
+        """Return whether a foot has been on the ground for too long, shape ``[*]``."""
         return longer_than(step, CONTACT_STEPS.name, self.steps)
 
     def clock(self, after: Mapping[str, Array], facts: RobotFacts, time_limit: int) -> Array:
-        """Return each foot's contact time over its limit, or minus its time in the air, shape ``[*, feet]``."""
+        """Return each foot's contact time, or minus its swing time, divided by the limit, shape ``[*, feet]``."""
         return (after[CONTACT_STEPS.name] - after[AIR_STEPS.name]) / (self.steps or time_limit)
 
     def clock_mirror(self, facts: RobotFacts) -> tuple[np.ndarray, np.ndarray]:
-        """Exchange the feet."""
+        """Return source and sign of the clock's reflection, which exchanges the feet."""
         return facts.mirror_feet, np.ones(facts.feet)
 
 
 @dataclass(frozen=True)
 class StuckHip(Termination):
-    """End when a hip's angle has kept its sign for too long (released script).
+    """Terminate when a hip's angle has kept its sign for too long (released script).
 
     Attributes:
-        steps: Control steps that it may; ``None`` for any number.
+        steps: Longest time of a hip's angle with one sign (control steps); ``None`` for no limit.
     """
 
     steps: int | None = 50
@@ -90,30 +90,30 @@ class StuckHip(Termination):
         check_steps(self.steps)
 
     def remembers(self) -> tuple[Remembered, ...]:
-        """Return for how long each hip has kept its sign, and which one it is."""
+        """Return the arrays of the time for which each hip has kept its sign, and of the sign."""
         return HIP_STEPS, HIP_POSITIVE
 
     def __call__(self, step: Step) -> Array:
-        """Return whether some hip has, shape ``[*]``."""
+        """Return whether a hip has kept its sign for too long, shape ``[*]``."""
         return longer_than(step, HIP_STEPS.name, self.steps)
 
     def clock(self, after: Mapping[str, Array], facts: RobotFacts, time_limit: int) -> Array:
-        """Return each hip's time on one side over its limit, with the side's sign, shape ``[*, feet]``."""
+        """Return each hip's time on one side divided by the limit, with the side's sign, shape ``[*, feet]``."""
         hip = after[HIP_STEPS.name] / (self.steps or time_limit)
-        # By multiplication: a function of an array library would have to be asked for.
+        # Computed by multiplication, which needs no array library's functions.
         return hip * (2 * after[HIP_POSITIVE.name] - 1)
 
     def clock_mirror(self, facts: RobotFacts) -> tuple[np.ndarray, np.ndarray]:
-        """Exchange the legs, and the sides where the hips' axes ask for it."""
+        """Return source and sign of the clock's reflection: legs exchange, and signs where the hip axes require it."""
         return facts.mirror_feet, facts.hip_mirror_signs
 
 
 @dataclass(frozen=True)
 class Finish(Termination):
-    """End successfully at a distance (section 3.2); the value is bootstrapped.
+    """Terminate successfully at a distance (section 3.2); the value is bootstrapped.
 
     Attributes:
-        distance: From the start (m).
+        distance: Distance of the finish from the start (m).
     """
 
     truncates: ClassVar[bool] = True
@@ -126,16 +126,16 @@ class Finish(Termination):
             raise ConfigError(f"distance must be above 0 m, got {self.distance}.")
 
     def __call__(self, step: Step) -> Array:
-        """Return whether it is there, shape ``[*]``."""
+        """Return whether the robot has reached the finish, shape ``[*]``."""
         return step.now.position >= self.distance
 
 
 @dataclass(frozen=True)
 class TimeLimit(Termination):
-    """Cut the episode off after a time; the value is bootstrapped.
+    """End the episode by truncation after a time limit; the value is bootstrapped.
 
     Attributes:
-        steps: Control steps.
+        steps: Time limit (control steps).
     """
 
     truncates: ClassVar[bool] = True
@@ -146,7 +146,7 @@ class TimeLimit(Termination):
         check_between(self, 1, MOST_STEPS, "steps")
 
     def __call__(self, step: Step) -> Array:
-        """Return whether the time is over, shape ``[*]``."""
+        """Return whether the time limit is reached, shape ``[*]``."""
         return step.after[STEPS] >= self.steps
 
 
@@ -157,7 +157,7 @@ def check_steps(steps: int | None) -> None:
 
 
 def longer_than(step: Step, name: str, limit: int | None) -> Array:
-    """Return whether any of the times remembered by a name, shape ``[*, K]``, exceeds a limit, shape ``[*]``."""
+    """Return whether any of the times ``[*, K]`` remembered by a name exceeds a limit, shape ``[*]``."""
     times = step.after[name]
     if limit is None:
         return step.xp.zeros(times.shape[:-1], dtype=step.xp.bool)

@@ -1,4 +1,4 @@
-"""Terms of which tasks are composed: rewards, terminations, commands, randomisations, and the arrays they remember.
+"""Terms of tasks: rewards, terminations, commands, randomisations, and the arrays that they remember.
 
 A term is a small frozen dataclass with ``__call__``: a pure function over arrays whose leading dimensions ``*`` are the
 robots (none for one robot, ``[N]`` for a batch). It is written to the array API standard, so that the same term runs on
@@ -28,21 +28,21 @@ Array = Any  # of NumPy or of PyTorch
 
 @dataclass(frozen=True)
 class RobotFacts:
-    """What terms ask of a robot: counts, and where its legs' angles stand.
+    """Hold the facts of a robot that terms read: counts, and indices of its joints and feet.
 
     Attributes:
         control_dt: Control period (s).
-        joints: ``J``.
-        actions: ``A``.
+        joints: Number of joints ``J``.
+        actions: Number of actions ``A``.
         feet: Number of feet; leg ``i`` ends in foot ``i``.
-        hips: For each leg the index of its hip in ``Measurement.angles``, shape ``[feet]``.
+        hips: Index of each leg's hip in ``Measurement.angles``, shape ``[feet]``.
         hip_signs: Factors that make a hip's angle count in the sense of its mirror image, shape ``[feet]``.
         hip_mirror_signs: +1 if equal angles of a hip and its mirror image mirror each other, else -1, shape ``[feet]``.
         foot_pairs: Indices of the feet that mirror each other, shape ``[P, 2]``.
-        mirror_feet: For each foot the index of its mirror image, its own if it has none, shape ``[feet]``.
+        mirror_feet: Index of each foot's mirror image, or its own if it has none, shape ``[feet]``.
         base: Names of the coordinates in ``Measurement.base``.
-        node_joints: For each joint's node the index of the joint in ``Measurement.angles``, shape ``[J]``.
-        foot_slots: Of each foot its ground node, counted from the last one (-1), and place there, shape ``[feet, 2]``.
+        node_joints: Index in ``Measurement.angles`` of each joint node's joint, shape ``[J]``.
+        foot_slots: Ground node of each foot, counted from the last one (-1), and place there, shape ``[feet, 2]``.
     """
 
     control_dt: float
@@ -60,7 +60,7 @@ class RobotFacts:
 
     @classmethod
     def from_robot(cls, robot: Robot, graph: KinematicGraph, control_dt: float) -> RobotFacts:
-        """Read the facts off a robot and the nodes of its graph."""
+        """Build the facts of a robot and the nodes of its graph."""
         names = [joint.name for joint in robot.joints]
         pairs = [(i, k) for i, k in enumerate(robot.mirror_feet) if i < k]
         return cls(
@@ -79,22 +79,22 @@ class RobotFacts:
         )
 
     def size(self, dimension: int | str) -> int:
-        """Resolve a dimension of a remembered array: a number, or ``feet``, ``joints`` or ``actions``."""
+        """Return the size of a remembered array's dimension: a number, or ``feet``, ``joints`` or ``actions``."""
         return dimension if isinstance(dimension, int) else int(getattr(self, dimension))
 
 
 @dataclass(frozen=True)
 class Step:
-    """One control step as terms see it.
+    """Hold the inputs of terms in one control step.
 
     Attributes:
-        now: What is measured after it.
-        before: What was remembered before it, by name.
-        after: What is remembered after it, by name; being filled while that is computed.
-        action: In [-1, 1], shape ``[*, A]``.
+        now: Measurement after the step.
+        before: Memory before the step, by name.
+        after: Memory after the step, by name; incomplete while it is computed.
+        action: Action in [-1, 1], shape ``[*, A]``.
         diverged: Whether the simulation failed, shape ``[*]``.
-        facts: Of the robot.
-        ended: Which terminations hold, by name, shape ``[*]`` each; being filled while those are computed.
+        facts: Facts of the robot.
+        ended: Whether each termination holds, by name, shape ``[*]`` each; incomplete while they are computed.
     """
 
     now: Measurement
@@ -107,36 +107,36 @@ class Step:
 
     @cached_property
     def xp(self) -> Any:  # noqa: ANN401 - a module
-        """The array library's functions, by the names of the array API standard."""
+        """Return the namespace of the step's array library, with the names of the array API standard."""
         return array_namespace(self.now.angles)
 
     def constant(self, values: np.ndarray, like: Array) -> Array:
-        """Turn a constant array into one of this step's library, of the type of ``like`` unless it holds indices."""
+        """Convert a constant array to the step's library, with the type of ``like`` unless of integers or bools."""
         kind = None if values.dtype.kind in "iub" else like.dtype
         return self.xp.asarray(values, dtype=kind)
 
     @cached_property
     def hips(self) -> Array:
-        """Return the angles of the hips, one a leg, shape ``[*, feet]`` (rad)."""
+        """Return the angles of the hips, one for each leg, shape ``[*, feet]`` (rad)."""
         return hips(self.now, self.facts)
 
 
 def hips(now: Measurement, facts: RobotFacts) -> Array:
-    """Take the angles of the hips, one a leg, shape ``[*, feet]`` (rad)."""
+    """Return the angles of the hips, one for each leg, shape ``[*, feet]`` (rad)."""
     xp = array_namespace(now.angles)
     return xp.take(now.angles, xp.asarray(facts.hips), axis=-1)
 
 
 @dataclass(frozen=True)
 class Remembered:
-    """An array that the environment keeps for a term from step to step, resets with the episode and checkpoints.
+    """Declare an array that the environment keeps for a term between steps, resets with the episode and checkpoints.
 
-    Two terms that ask for the same thing share it; two that ask for different things by one name are refused.
+    Terms that declare the same array share it; different arrays of one name are refused.
 
     Attributes:
-        name: Under which ``Step.before`` and ``Step.after`` hold it.
-        shape: Beside the robots' dimensions; ``feet``, ``joints`` and ``actions`` stand for their numbers.
-        start: Value at a reset: a number, or a function of what is measured then and the robot's facts.
+        name: Name of the array in ``Step.before`` and ``Step.after``.
+        shape: Shape without the robots' dimensions; ``feet``, ``joints`` and ``actions`` stand for their numbers.
+        start: Value at a reset: a number, or a function of the measurement at the reset and the robot's facts.
         update: Function of the array before the step and the step; returns the array after it. Its type stays.
     """
 
@@ -155,17 +155,17 @@ class Remembered:
 
 
 def recent(quantity: str, length: int, *shape: int | str) -> Remembered:
-    """Remember the last values of a measured quantity, oldest first; at a reset all of them are the first one.
+    """Declare the array of the last values of a measured quantity, oldest first; a reset repeats the first value.
 
     Args:
         quantity: Field of :class:`.Measurement`.
-        length: How many.
-        shape: Of one value.
+        length: Number of values.
+        shape: Shape of one value.
     """
     return Remembered(f"{quantity}[{length}]", (length, *shape), _RepeatFirst(quantity, length), _PushNewest(quantity))
 
 
-# Not functions inside of a function: two terms that remember the same thing must be seen to.
+# Dataclasses, not nested functions: arrays declared alike by two terms must compare equal.
 @dataclass(frozen=True)
 class _RepeatFirst:
     quantity: str
@@ -188,24 +188,24 @@ class _PushNewest:
 
 @dataclass(frozen=True)
 class Term(ABC):  # noqa: B024 - what each kind of term returns is its own affair
-    """A part of a task."""
+    """Represent a part of a task."""
 
     def remembers(self) -> tuple[Remembered, ...]:
-        """Return the arrays that it needs from step to step."""
+        """Return the arrays that the term needs from step to step."""
         return ()
 
     def reads(self) -> tuple[str, ...]:
-        """Return the names of the terminations that it reads from ``Step.ended``."""
+        """Return the names of the terminations that the term reads from ``Step.ended``."""
         return ()
 
     def applies(self, facts: RobotFacts) -> bool:
-        """Return whether the robot has what the term is about; one that does not apply is left out."""
+        """Return whether the term applies to the robot; a term that does not apply is left out."""
         return True
 
 
 @dataclass(frozen=True)
 class RewardTerm(Term):
-    """A summand of the reward.
+    """Represent a term of the reward.
 
     Attributes:
         weight: Factor; negative for a penalty.
@@ -215,17 +215,17 @@ class RewardTerm(Term):
 
     @abstractmethod
     def __call__(self, step: Step) -> Array:
-        """Return what the step is worth, the weight included, shape ``[*]``."""
+        """Return the term's reward of the step, the weight included, shape ``[*]``."""
 
 
 @dataclass(frozen=True)
 class Termination(Term):
-    """A reason for an episode to end.
+    """Terminate an episode on a condition.
 
     Class attributes:
-        truncates: Whether the value of what would have followed is bootstrapped, as at a time limit.
-        succeeds: Whether it is what the task is about.
-        fatal: Whether the robot could not go on if the episode did, as after a fall.
+        truncates: Whether the value of the last state is bootstrapped, as at a time limit.
+        succeeds: Whether the termination is a success of the task.
+        fatal: Whether the robot could not continue after it, as after a fall.
     """
 
     truncates: ClassVar[bool] = False
@@ -234,15 +234,15 @@ class Termination(Term):
 
     @abstractmethod
     def __call__(self, step: Step) -> Array:
-        """Return whether it holds, bool of shape ``[*]``."""
+        """Return whether the termination holds, bool of shape ``[*]``."""
 
     def clock(self, after: Mapping[str, Array], facts: RobotFacts, time_limit: int) -> Array | None:
-        """Return how near it is, shape ``[*, K]``, for critics alone to see; ``None`` if it does not come by waiting.
+        """Return the progress towards the termination, shape ``[*, K]``, for critics only; ``None`` if not time-based.
 
         Args:
-            after: What is remembered.
-            facts: Of the robot.
-            time_limit: Longest episode (control steps), to scale what has no limit of its own.
+            after: Memory after the step.
+            facts: Facts of the robot.
+            time_limit: Longest episode (control steps), the scale of a termination without a limit of its own.
         """
         return None
 
@@ -253,10 +253,10 @@ class Termination(Term):
 
 @dataclass(frozen=True)
 class Command(Term):
-    """What a robot is told to do, drawn anew from time to time; terms and features read it by its name.
+    """Draw a command to the robot at regular intervals; terms and features read it by its name.
 
     Attributes:
-        every: Time after which it is drawn anew (s).
+        every: Time after which the command is drawn anew (s).
     """
 
     every: float = 5.0
@@ -268,7 +268,7 @@ class Command(Term):
     @property
     @abstractmethod
     def size(self) -> int:
-        """Return ``K``, how many numbers it is."""
+        """Return the length ``K`` of the command."""
 
     @abstractmethod
     def __call__(self, rng: np.random.Generator | np.random.RandomState, count: int) -> np.ndarray:
@@ -277,20 +277,20 @@ class Command(Term):
 
 @dataclass(frozen=True)
 class Randomisation(Term):
-    """A change of where and how an episode begins."""
+    """Randomise the initial state of an episode."""
 
     @abstractmethod
     def __call__(
         self, rng: np.random.Generator | np.random.RandomState, robot: Robot, qpos: np.ndarray, qvel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pose ``[nq]`` and velocities ``[nv]`` of one robot with which its episode begins."""
+        """Return the initial pose ``[nq]`` and velocities ``[nv]`` of one robot."""
 
 
 def reading(where: str, term: Callable[..., Array], step: Step, *beside: Array) -> Array:
-    """Call a term for the first time.
+    """Call a term, with a clear error if it reads a missing array.
 
     Raises:
-        ConfigError: If it reads what is not remembered; the message names it and what is.
+        ConfigError: If the term reads an array that is not remembered; the message names it and the remembered ones.
     """
     try:
         return term(*beside, step)
@@ -301,10 +301,11 @@ def reading(where: str, term: Callable[..., Array], step: Step, *beside: Array) 
 
 
 def check_terms(where: str, terms: Mapping[str, Any], kind: type[Term]) -> dict[str, Any]:
-    """Check that a mapping holds terms of one kind by name; one that is ``None`` is left out.
+    """Check that a mapping holds terms of one kind by name, and return it without those that are ``None``.
 
     Raises:
-        ConfigError: If one is something else; the message names it and what is accepted.
+        ConfigError: If a value is not such a term, or its weight is not a finite number; the message names it and the
+            accepted values.
     """
     for name, term in terms.items():
         if term is not None and not isinstance(term, kind):

@@ -18,7 +18,7 @@ from gctd3.tasks.terms import Randomisation, Termination
 
 
 def paper_terminations() -> dict[str, Termination]:
-    """Return the ends of the paper's episodes."""
+    """Return the terminations of the paper's episodes."""
     return {
         "fall": Fall(),
         "long_contact": LongContact(),
@@ -29,18 +29,18 @@ def paper_terminations() -> dict[str, Termination]:
 
 
 def paper_randomisations() -> dict[str, Randomisation]:
-    """Return what differs from one start to the next."""
+    """Return the randomisations of the start of the paper's episodes."""
     return {"joint_noise": JointNoise()}
 
 
 @dataclass(frozen=True)
 class WalkSettings(Composition):
-    """Walk forward as far as the finish, as the paper has it; see :class:`.Composition`.
+    """Hold the settings of the paper's task, to walk forward to the finish; see :class:`.Composition`.
 
     Attributes:
-        features: The paper's (section 2.3), and those of bases that a boom does not hold.
-        terminations: The paper's.
-        randomisations: Every joint is off its start by a little.
+        features: Features of the paper (section 2.3), and those of bases without a boom.
+        terminations: Terminations of the paper.
+        randomisations: Randomisations of the start: noise on every joint.
     """
 
     features: Mapping[str, Any] = field(default_factory=paper_features)
@@ -54,12 +54,12 @@ class WalkSettings(Composition):
 
 
 class WalkingTask(SimulatedTask):
-    """The walking task on a robot; see :class:`.SimulatedTask`.
+    """Define the walking task of the paper on a robot; see :class:`.SimulatedTask`.
 
     Args:
         robot: The robot.
         reward: The reward; the paper's if ``None``.
-        settings: The other terms; the paper's if ``None``.
+        settings: The other terms of the task; the paper's if ``None``.
         graph: The robot's graph; its tree if ``None``.
     """
 
