@@ -8,8 +8,9 @@ import numpy as np
 
 from gctd3.errors import ConfigError
 from gctd3.tasks.measurement import Measurement
+from gctd3.tasks.term_checks import reading
 from gctd3.tasks.terminations import STEPS
-from gctd3.tasks.terms import Command, Remembered, RobotFacts, Step, Term, reading
+from gctd3.tasks.terms import Command, Remembered, RobotFacts, Step, Term
 
 Memory = dict[str, np.ndarray]  # by name; every array is overwritten by the next, none changes in place
 Generator = np.random.Generator | np.random.RandomState

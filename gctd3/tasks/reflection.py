@@ -15,7 +15,8 @@ from gctd3.errors import RobotError
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.mirror_pairs import unreflected
 from gctd3.robots.robot import Robot
-from gctd3.tasks.features import FeatureTable, paper_features
+from gctd3.tasks.feature_table import FeatureTable
+from gctd3.tasks.features import paper_features
 
 
 @dataclass(frozen=True, eq=False)

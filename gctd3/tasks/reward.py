@@ -8,7 +8,8 @@ from typing import Any
 
 from gctd3.errors import ConfigError
 from gctd3.tasks import reward_terms as terms
-from gctd3.tasks.terms import RewardTerm, check_terms
+from gctd3.tasks.term_checks import check_terms
+from gctd3.tasks.terms import RewardTerm
 
 
 def paper_terms() -> dict[str, RewardTerm]:

@@ -16,15 +16,17 @@ from gctd3.errors import ConfigError, suggest
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
-from gctd3.tasks.features import FeatureTable, NodeFeature, Sensed
+from gctd3.tasks.feature_table import FeatureTable
+from gctd3.tasks.features import NodeFeature, Sensed
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.memory import EpisodeMemory, Generator, Memory
 from gctd3.tasks.outcome import Outcome
 from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import Ability, TaskSettings
+from gctd3.tasks.term_checks import check_terms, reading
 from gctd3.tasks.terminations import MOST_STEPS, STEPS, TimeLimit
-from gctd3.tasks.terms import Command, Randomisation, RobotFacts, Step, Termination, check_terms, reading
+from gctd3.tasks.terms import Command, Randomisation, RobotFacts, Step, Termination
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from torch import nn
 from gctd3.nn import Critic, GraphConv, Network, make_actor, make_critic
 from gctd3.nn.layers import Linear
 from gctd3.nn.stacking import obstacles
-from gctd3.tasks.features import FeatureTable, paper_features
+from gctd3.tasks.feature_table import FeatureTable
+from gctd3.tasks.features import paper_features
 from gctd3.tasks.reflection import Reflection
 
 

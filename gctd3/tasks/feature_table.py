@@ -1,0 +1,112 @@
+"""Table of the node features of one robot, from which everything that depends on them is derived.
+
+The observation, its reflection in the mirror, the exported contract, sensor noise and evaluation read this table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gctd3.errors import ConfigError
+from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.robot import Robot
+from gctd3.tasks.features import KINDS, NodeFeature, Reading, Sensed
+
+
+class FeatureTable:
+    """Compose the features of one robot, and assign their numbers to its nodes.
+
+    Numbers of several features of one kind of node follow one another; nodes with fewer numbers are padded with zeros.
+
+    Args:
+        features: Features by name, in order.
+        robot: The robot.
+        graph: The robot's graph, of which only the nodes are used.
+
+    Attributes:
+        width: ``F``, features of a node in one frame.
+        readings: Readings of each node, a row of ``F``; ``None`` for a number that is always 0.
+
+    Raises:
+        ConfigError: If a feature has an unknown kind, does not name as many readings for each of its nodes, or no node
+            has a feature.
+    """
+
+    def __init__(self, features: Mapping[str, NodeFeature], robot: Robot, graph: KinematicGraph) -> None:
+        self.graph, self.robot = graph, robot
+        kinds = [kind if kind in KINDS else "joint" for kind in graph.kinds]
+        filled = dict.fromkeys(KINDS, 0)
+        self._placed: list[tuple[str, NodeFeature, list[int], int, int]] = []
+        rows: list[list[Reading | None]] = [[] for _ in kinds]
+        for name, feature in features.items():
+            if feature.kind not in KINDS:
+                raise ConfigError(
+                    f"task.features.{name}: there are no nodes of kind {feature.kind!r}; kinds: {', '.join(KINDS)}."
+                )
+            nodes = [i for i, kind in enumerate(kinds) if kind == feature.kind]
+            if not nodes:
+                continue
+            said = feature.readings(robot, tuple(graph.nodes[i] for i in nodes))
+            if len(said) != len(nodes) or len({len(row) for row in said}) != 1:
+                raise ConfigError(
+                    f"task.features.{name} must say as many readings for each of {len(nodes)} nodes, got {said!r}."
+                )
+            width, start = len(said[0]), filled[feature.kind]
+            filled[feature.kind] += width
+            self._placed.append((name, feature, nodes, start, width))
+            for node, row in zip(nodes, said, strict=True):
+                rows[node] += row
+        self.width = max(map(len, rows))
+        if not self.width:
+            raise ConfigError("task.features must hold at least one feature that a node of the robot has, got none.")
+        self.readings = [row + [None] * (self.width - len(row)) for row in rows]
+
+    def __call__(self, sensed: Sensed) -> np.ndarray:
+        """Return the features of every node in one frame (section 2.3), ``float32 [*, N, F]``."""
+        numbers = np.zeros((*sensed.now.position.shape, self.graph.num_nodes, self.width), dtype=np.float32)
+        for _, feature, nodes, start, width in self._placed:
+            # Nodes of a kind follow one another.
+            numbers[..., nodes[0] : nodes[-1] + 1, start : start + width] = feature(sensed)
+        return numbers
+
+    def check(self, sensed: Sensed) -> None:
+        """Raise a :class:`.ConfigError` unless every feature returns finite numbers of the declared shape."""
+        for name, feature, nodes, _, width in self._placed:
+            try:
+                values = np.asarray(feature(sensed))
+            except KeyError as error:
+                known = ", ".join(sensed.memory)
+                raise ConfigError(
+                    f"task.features.{name} reads {error}, which is not remembered. Remembered: {known}."
+                ) from error
+            expected = (*sensed.now.position.shape, len(nodes), width)
+            if values.shape != expected or not np.isfinite(values).all():
+                raise ConfigError(
+                    f"task.features.{name} must return finite numbers of shape {list(expected)}, got "
+                    f"{list(values.shape)} {values.dtype}."
+                )
+
+    def reflection(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return source and sign, each ``[N * F]``: ``sign * frame[source]`` is the mirrored robot's frame."""
+        graph, width = self.graph, self.width
+        source = np.arange(graph.num_nodes * width).reshape(graph.num_nodes, width)[list(graph.mirror)]
+        sign = np.ones(source.shape)
+        for _, feature, nodes, start, count in self._placed:
+            places = feature.mirror_places(self.robot, tuple(graph.nodes[i] for i in nodes))
+            if places is not None:
+                node, number = np.moveaxis(places, -1, 0)
+                source[nodes, start : start + count] = (node + nodes[0]) * width + start + number
+        for i, row in enumerate(self.readings):
+            for k, reading in enumerate(row):
+                sign[i, k] = 1.0 if reading is None else reading.sign
+        return source.reshape(-1), sign.reshape(-1)
+
+    def deviations(self, errors: Mapping[str, float]) -> np.ndarray:
+        """Return the standard deviation of each number's error in a frame, shape ``[N, F]``.
+
+        Args:
+            errors: Standard deviation of each quantity's error; 0 for a quantity that is missing.
+        """
+        return np.array([[0.0 if r is None else errors.get(r.quantity, 0.0) for r in row] for row in self.readings])
