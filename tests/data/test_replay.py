@@ -104,6 +104,15 @@ def test_three_step_windows_by_hand(storage, sizes):
     assert torch.equal(content["action"], -content["nodes"][:, 0, :1])
 
 
+def test_every_place_for_the_ends_of_episodes_counts():
+    """Places for 64 last frames are made at once; here each of them is taken."""
+    collected = episodes(flags(64, 8, *((robot, 2) for robot in range(64))), flags(64, 8))
+    frames, stacked = (held(filled(storage, collected, (8,), 3)) for storage in STORAGES)
+    assert len(frames) == 64 * 5 == len(stacked)
+    for key in ("nodes", ("next", "reward"), ("next", "nodes"), ("next", "terminated"), "steps_to_next_obs"):
+        assert torch.equal(frames[key].double(), stacked[key].double()), key
+
+
 @pytest.mark.parametrize("storage", STORAGES)
 @given(
     n=st.integers(1, 5),
