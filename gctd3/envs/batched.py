@@ -15,12 +15,12 @@ from gctd3.tasks.terms import hips
 
 
 class BatchedEnv(RobotsEnv):
-    """A task on ``simulation.num_robots`` robots, all stepped at once.
+    """Step a task on ``simulation.num_robots`` robots, all at once.
 
     Args:
-        simulation: The robots.
+        simulation: The simulation of the robots.
 
-    Writes ``nodes [nodes, F]`` and ``counters [K]`` of each; the rest as every :class:`.RobotsEnv`.
+    Writes ``nodes [nodes, F]`` and ``counters [K]`` of each robot, and the other keys of every :class:`.RobotsEnv`.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -62,7 +62,7 @@ class BatchedEnv(RobotsEnv):
         self.simulation.rng = np.random.default_rng(seed)
 
     def glance(self) -> Glance:
-        """Look at the robots as they are now."""
+        """Return the present measurements of the robots."""
         now, facts = self.simulation.now, self.simulation.task.facts
         return Glance(now.height, hips(now, facts) * facts.hip_signs, now.feet_down)
 
@@ -71,5 +71,5 @@ class BatchedEnv(RobotsEnv):
         return self.simulation.state_dict()
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Set the simulation's state."""
+        """Restore the simulation's state."""
         self.simulation.load_state_dict(state)

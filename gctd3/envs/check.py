@@ -14,12 +14,13 @@ from gctd3.errors import NumericalError
 
 
 class CheckStep(Transform):
-    """Checks that observations, actions, rewards and ends are finite, of their spec's shape and type, and in it.
+    """Check that observations, actions, rewards and done flags are finite and match their specs.
 
-    Changes nothing. Append it last, so that it sees what a policy sees. Steps are counted over all episodes.
+    Values must have the shape and type of their spec and lie in it; none is changed. Append it last, to check the
+    policy's own inputs. Steps are counted over all episodes.
 
     Raises:
-        NumericalError: Where something is not; the message names the key, the robot and the step.
+        NumericalError: If a value fails a check; the message names the key, the step and, for a number, the robot.
     """
 
     def __init__(self) -> None:

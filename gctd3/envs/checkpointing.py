@@ -12,7 +12,7 @@ def env_state(env: EnvBase) -> dict[str, Any]:
     """Return the state of an environment of :func:`gctd3.envs.factory.build_env`; tensors are copies.
 
     Raises:
-        TypeError: If it is another one.
+        TypeError: If it is another environment.
     """
     if isinstance(env, TransformedEnv):
         buffers = {
@@ -28,7 +28,7 @@ def env_state(env: EnvBase) -> dict[str, Any]:
 
 
 def load_env_state(env: EnvBase, state: dict[str, Any]) -> None:
-    """Set what :func:`env_state` gave; ``env`` must have been reset at least once."""
+    """Restore the state returned by :func:`env_state`; ``env`` must have been reset at least once."""
     if isinstance(env, TransformedEnv):
         load_env_state(env.base_env, state["base"])
         buffers = dict(env.transform.named_buffers())

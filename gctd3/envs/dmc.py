@@ -30,19 +30,19 @@ with warnings.catch_warnings():
 
 
 class Physics(mujoco.Physics):
-    """A robot with its sensors in the task's terms."""
+    """Simulate a robot and measure it in the task's terms."""
 
     def measure(self, task: SimulatedTask) -> Measurement:
-        """What the robot senses now."""
+        """Return the present measurement of the robot."""
         data = self.data
         return task.measure(np.array(data.qpos), np.array(data.qvel), np.array(data.sensordata))
 
 
 class DMTask(base.Task):
-    """A simulated task as dm_control has tasks.
+    """Wrap a simulated task as a task of dm_control.
 
     Args:
-        task: The task's arithmetic.
+        task: The simulated task.
         random: Seed or state of the starts and commands.
     """
 
@@ -56,7 +56,7 @@ class DMTask(base.Task):
         self._middle, self._half = (high + low) / 2, (high - low) / 2
 
     def initialize_episode(self, physics: Physics) -> None:
-        """Put the robot where an episode starts."""
+        """Put the robot into the start pose and velocities of an episode."""
         physics.data.qpos[:], physics.data.qvel[:] = self.task.start(self.random)
         self.restart(physics)
 
@@ -68,7 +68,7 @@ class DMTask(base.Task):
         self._outcome = None
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
-        """One desired joint angle per actuator, in [-1, 1] of its range."""
+        """Return the spec of the actions: one desired joint angle per actuator, in [-1, 1] of its range."""
         names = "\t".join(self.task.robot.action_names)
         return specs.BoundedArray((len(self._half),), np.float64, -1.0, 1.0, name=names)
 
@@ -78,17 +78,17 @@ class DMTask(base.Task):
         physics.set_control(self._middle + self._half * np.clip(action, -1.0, 1.0))
 
     def after_step(self, physics: Physics) -> None:
-        """Judge the step."""
+        """Measure the robot and evaluate the step."""
         self._now = physics.measure(self.task)
         self._memory, self._outcome = self.task.advance(self._memory, self._now, self._action, rng=self.random)
 
     def diverge(self) -> None:
-        """Judge a step whose simulation failed: the robot stays where it was, and the episode ends as by a fall."""
+        """Evaluate a step whose simulation failed: the robot stays where it was, and the episode ends as by a fall."""
         failed = np.array(True)
         self._memory, self._outcome = self.task.advance(self._memory, self._now, self._action, failed, self.random)
 
     def get_observation(self, physics: Physics) -> collections.OrderedDict[str, np.ndarray]:
-        """Return the nodes' features, the terminations' clocks, the distance walked (m) and whether it was won."""
+        """Return the nodes' features, the terminations' clocks, the distance walked (m), success and divergence."""
         won = self._outcome is not None and bool(self._outcome.success)
         return collections.OrderedDict(
             nodes=self.task.node_features(self._now, self._memory),
@@ -99,27 +99,27 @@ class DMTask(base.Task):
         )
 
     def get_reward(self, physics: Physics) -> float:
-        """The sum of the reward's terms."""
+        """Return the sum of the reward's terms."""
         return float(self.outcome.reward)
 
     def get_termination(self, physics: Physics) -> float | None:
-        """0 if the episode terminated, 1 if it was truncated, ``None`` if it goes on."""
+        """Return the last discount: 0 if the episode terminated, 1 if it was truncated, ``None`` if it goes on."""
         if self.outcome.terminated:
             return 0.0
         return 1.0 if self.outcome.truncated else None
 
     def state_dict(self) -> dict[str, Any]:
-        """What the task remembers of the episode."""
+        """Return the task's memory of the episode."""
         return {"now": self._now.to_dict(), "memory": {name: np.array(v) for name, v in self._memory.items()}}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore :meth:`state_dict`."""
+        """Restore the state returned by :meth:`state_dict`."""
         self._now = Measurement.from_dict(state["now"])
         self._memory = {name: np.array(values) for name, values in state["memory"].items()}
 
     @property
     def outcome(self) -> Outcome:
-        """Of the last step.
+        """Return the outcome of the last step.
 
         Raises:
             RuntimeError: If no step was taken since the reset.
@@ -130,10 +130,10 @@ class DMTask(base.Task):
 
 
 class DMEnvironment(control.Environment):
-    """A :class:`dm_control.rl.control.Environment` whose specs do not need a reset."""
+    """Provide a :class:`dm_control.rl.control.Environment` whose specs do not need a reset."""
 
     def observation_spec(self) -> collections.OrderedDict[str, specs.Array]:
-        """Shapes and types of the observation."""
+        """Return the shapes and types of the observation."""
         task: SimulatedTask = self.task.task
         return collections.OrderedDict(
             nodes=specs.Array((task.graph.num_nodes, task.features), np.float32, "nodes"),
@@ -144,7 +144,7 @@ class DMEnvironment(control.Environment):
         )
 
     def step(self, action: np.ndarray) -> dm_env.TimeStep:
-        """One control step.
+        """Take one control step.
 
         Raises:
             ValueError: If the action has the wrong shape or is not finite.
@@ -163,7 +163,7 @@ class DMEnvironment(control.Environment):
             return dm_env.TimeStep(dm_env.StepType.LAST, walk.get_reward(self.physics), 0.0, observation)
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that the next steps depend on, but the actions."""
+        """Return everything that the next steps depend on, except the actions."""
         walk: DMTask = self.task
         name, keys, position, has_gauss, cached = walk.random.get_state()
         return {
@@ -175,7 +175,7 @@ class DMEnvironment(control.Environment):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore :meth:`state_dict`."""
+        """Restore the state returned by :meth:`state_dict`."""
         model, data = self.physics.model.ptr, self.physics.data.ptr
         load_integration_state(model, data, state["physics"])
         mujoco_api.mj_forward(model, data)
@@ -189,7 +189,7 @@ def load(task: SimulatedTask, random: int | np.random.RandomState | None = None)
     """Load a simulated task as a dm_control environment.
 
     Args:
-        task: The task's arithmetic; it holds the robot and the control period.
+        task: The simulated task; it holds the robot and the control period.
         random: Seed or state of the starts and commands.
     """
     # A model of its own: what changes it, as a payload does, is no other environment's affair.
@@ -204,5 +204,5 @@ def load(task: SimulatedTask, random: int | np.random.RandomState | None = None)
 
 
 def torchrl_env(task: SimulatedTask, seed: int = 0) -> DMControlWrapper:
-    """Wrap the task as a TorchRL environment of batch size ``[]``; same keys as the batched one."""
+    """Wrap a task as a TorchRL environment of batch size ``[]``; the batched one adds ``is_init``, ``step_count``."""
     return DMControlWrapper(load(task, seed))

@@ -27,7 +27,7 @@ from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import Task, TaskSettings, check_backend
 from gctd3.tasks.walk import WalkSettings
 
-# An environment of one batch dimension, and what it lacks of the keys that every environment writes.
+# An environment of one batch dimension, and the transforms that write the common keys which it lacks.
 Made = tuple[EnvBase, list[Transform]]
 
 
@@ -61,7 +61,7 @@ def build_env(task: Task, settings: EnvSettings, seed: int) -> EnvBase:
 
     Returns:
         An environment of batch size ``[num_envs]`` that writes ``nodes [N, F * history]`` (oldest frame first),
-        ``counters``, ``position`` (m), ``success``, ``is_init`` and ``step_count``.
+        ``counters``, ``position`` (m), ``success``, ``diverged``, ``is_init`` and ``step_count``.
 
     Raises:
         ConfigError: If the task does not run on the backend, or a setting does not fit its robot.
@@ -75,11 +75,11 @@ def build_env(task: Task, settings: EnvSettings, seed: int) -> EnvBase:
 
 @dataclass(frozen=True)
 class EnvRecipe:
-    """All that it takes to make an environment, in another process too.
+    """Hold the recipe of an environment, to make it in another process too.
 
     Attributes:
         task: The task.
-        settings: Where it is stepped.
+        settings: The environment's settings.
     """
 
     task: Task
@@ -107,12 +107,12 @@ def make_env(
 
     Args:
         robot: A shipped robot, or the path of an MJCF file.
-        num_envs: Robots that are simulated side by side.
+        num_envs: Number of robots simulated side by side.
         backend: ``batched`` or ``dm_control``.
-        history: Frames stacked into an observation.
-        seed: Of the starts.
+        history: Number of frames stacked into an observation.
+        seed: Seed of the starts.
         reward: The reward; the paper's by default.
-        task: The rest of what is asked; the paper's walk by default.
+        task: The other settings of the task; the paper's walk by default.
 
     Example:
         >>> env = make_env("biped", num_envs=3, seed=0)

@@ -28,17 +28,17 @@ def _spaces(task: SimulatedTask, history: int) -> tuple[gymnasium.spaces.Box, gy
 
 
 class BipedVectorEnv(VectorEnv):
-    """N robots stepped at once, as a Gymnasium vector environment.
+    """Step N robots at once, as a Gymnasium vector environment.
 
     A robot whose episode ended is reset by the next step, whose action it ignores (Gymnasium's ``NEXT_STEP``).
 
     Args:
-        num_envs: Robots that are simulated side by side.
+        num_envs: Number of robots simulated side by side.
         robot: A shipped robot, or the path of an MJCF file.
-        history: Frames stacked into an observation.
+        history: Number of frames stacked into an observation.
         reward: The reward; the paper's by default.
-        threads: That simulate; all cores if ``None``.
-        task: The rest of what is asked; the paper's walk by default.
+        threads: Threads of the simulation; all cores if ``None``.
+        task: The other settings of the task; the paper's walk by default.
 
     Observation: ``float32 [num_envs, N, F * history]``, oldest frame first. Action: ``[num_envs, A]`` in [-1, 1].
     Info: ``success``, ``position`` (m) and the reward's terms, each ``[num_envs]``.
@@ -82,7 +82,7 @@ class BipedVectorEnv(VectorEnv):
         return self._stack.copy(), {}
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One control step of every robot, or the first frame of a new episode."""
+        """Take one control step of every robot, or start a new episode where the last one ended."""
         begins = self._ended
         outcome = self.simulation.step(np.asarray(actions, dtype=np.float64))
         frame = self._frame()
@@ -110,13 +110,13 @@ class BipedVectorEnv(VectorEnv):
 
 
 class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
-    """One robot, as a Gymnasium environment; see :class:`BipedVectorEnv` for observation, action and info.
+    """Provide one robot as a Gymnasium environment; see :class:`BipedVectorEnv` for observation, action and info.
 
     Args:
         robot: A shipped robot, or the path of an MJCF file.
-        history: Frames stacked into an observation.
+        history: Number of frames stacked into an observation.
         reward: The reward; the paper's by default.
-        task: The rest of what is asked; the paper's walk by default.
+        task: The other settings of the task; the paper's walk by default.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - Gymnasium's name and type
@@ -141,7 +141,7 @@ class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return observation[0], info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One control step."""
+        """Take one control step, or start a new episode where the last one ended."""
         observation, reward, terminated, truncated, info = self._one.step(np.asarray(action)[None])
         scalars = {name: value[0].item() for name, value in info.items()}
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), scalars

@@ -26,15 +26,15 @@ Library = Literal["dm_control", "gymnasium"]
 
 
 class LibraryTask:
-    """A task that another library simulates, judges and ends, on its own robot; see :class:`.Task`.
+    """Represent a task that another library simulates, rewards and ends, on its own robot; see :class:`.Task`.
 
     Args:
         library: ``dm_control`` or ``gymnasium``.
         name: ``domain-task`` of dm_control's suite, or Gymnasium's id.
         robot: Feet, forward axis and graph of the library's robot.
-        history: Frames stacked into an observation.
-        observation: ``nodes`` of the robot's graph, or ``flat`` for what the task itself gives.
-        static: Whether every frame of a node also says what it is.
+        history: Number of frames stacked into an observation.
+        observation: ``nodes`` of the robot's graph, or ``flat`` for the task's own observation.
+        static: Whether every frame of a node also has its constant features.
     """
 
     num_counters = 0
@@ -63,10 +63,10 @@ class LibraryTask:
             self.features = NODE_FEATURES + (len(STATIC) if static else 0)
 
     def reflection(self) -> Reflection:
-        """Return how its observations and actions look in the mirror.
+        """Return the mirror reflection of its observations and actions.
 
         Raises:
-            ConfigError: If its nodes sense something else than those of the walking task.
+            ConfigError: If its nodes have other features than those of the walking task.
         """
         if self.static or self.observation == "flat":
             raise ConfigError(
@@ -83,8 +83,8 @@ class LibraryTask:
         """Make an environment of ``num_envs`` robots.
 
         Args:
-            num_envs: How many robots.
-            seed: Of the first robot's starts; the next one's is one more.
+            num_envs: Number of robots.
+            seed: Seed of the first robot's starts; TorchRL generates each further robot's from the one before.
         """
         robots = [make_robot(self.library, self.name) for _ in range(num_envs)]
         sensor = NodeSensor(simulator(robots[0])[0], self.robot.feet, self.robot.forward_axis)
@@ -93,11 +93,11 @@ class LibraryTask:
         return env
 
 
-NODE_FEATURES = 2  # of a node in one frame: half of what it senses is a position, half a velocity
+NODE_FEATURES = 2  # of a node in one frame: a position and a velocity
 
 
 def make_robot(library: Library, name: str) -> EnvBase:
-    """Make a task as its library has it, one robot, its actions scaled to [-1, 1].
+    """Make a library's own environment of a task, for one robot, its actions scaled to [-1, 1].
 
     Raises:
         ConfigError: If there is no such task, or it cannot be scaled or is not one of MuJoCo's.
@@ -139,7 +139,7 @@ def _scale_actions(library: Library, name: str, env: EnvBase) -> None:
 
 @dataclass(frozen=True)
 class _Probe:
-    """What a task is found to be: its simulator's model, its control period (s), the size of its own observation."""
+    """Hold facts about a task: its simulator's model, its control period (s), the size of its own observation."""
 
     model: mujoco.MjModel
     control_dt: float

@@ -18,29 +18,29 @@ from gctd3.robots.nodes import foot_slots
 
 
 def observed(env: EnvBase) -> list[str]:
-    """Keys of a task's own observation."""
+    """Return the keys of a task's own observation."""
     return [str(key) for key in env.observation_spec.keys(True, True)]
 
 
 class LibraryRobots(RobotsEnv):
-    """A task on several robots, stepped one after another.
+    """Step a task on several robots, one after another.
 
-    What stock TorchRL makes of them with a transform for each of these keys and a :class:`torchrl.envs.SerialEnv`,
-    number by number (``tests/envs/test_library_robots.py``), in a fraction of the time: most of theirs goes into
-    passing small TensorDicts around.
+    Every number equals that of stock TorchRL with a transform for each of the keys and a
+    :class:`torchrl.envs.SerialEnv` (``tests/envs/test_library_robots.py``), in a fraction of the time: stock TorchRL
+    spends most of its time passing small TensorDicts around.
 
     Args:
-        robots: The task on each, as TorchRL has it, its actions in [-1, 1].
-        sensor: Reads the nodes.
-        observation: ``nodes``, or ``flat`` for what the task itself gives, all of it as a single node.
-        static: Whether nodes also say what they are (:meth:`.NodeSensor.static`).
+        robots: TorchRL environments of the task, one per robot, with actions in [-1, 1].
+        sensor: Sensor that reads the nodes.
+        observation: ``nodes``, or ``flat`` for the task's own observation as a single node.
+        static: Whether nodes also have their constant features (:meth:`.NodeSensor.static`).
 
-    Writes what every :class:`.RobotsEnv` does: ``position``, the way forward from the world's origin; ``success`` and
-    ``diverged``, which are never true; ``counters``, of which there is none.
+    Writes the keys of every :class:`.RobotsEnv`: ``position``, the forward distance from the world's origin;
+    ``success`` and ``diverged``, which are never true; ``counters``, which is empty.
 
     Attributes:
-        robots: See above.
-        seen: What was observed last, NumPy arrays under the keys of the observation.
+        robots: The argument of this name.
+        seen: The last observation, NumPy arrays under the keys of the observation.
     """
 
     def __init__(
@@ -58,13 +58,13 @@ class LibraryRobots(RobotsEnv):
             nodes = 1, sum(robots[0].observation_spec[key].shape.numel() for key in own)
         super().__init__(n, nodes, 0, robots[0].action_spec.shape[-1])
         self._flat, self._static = own, says
-        # Not as a ModuleList: their parameters and states are none of this module's.
+        # Not as a ModuleList: their parameters and states do not belong to this module.
         hide(self, robots=list(robots), sensor=sensor)
         self.seen = {"nodes": np.zeros((n, *nodes), np.float32), "position": np.zeros((n, 1), np.float32)}
         self.seen |= {"is_init": np.ones((n, 1), dtype=bool), "step_count": np.zeros((n, 1), dtype=np.int64)}
-        # What the nodes sense, whatever is observed of it.
+        # The nodes' features from the sensor, even if the observation is flat.
         self.sensed = np.zeros((n, *sensed), np.float32)
-        # Gymnasium's tasks reckon with the precision of the action that they get.
+        # Gymnasium's tasks compute in the precision of their action.
         self._precision = np.float64 if robots[0].action_spec.dtype == torch.float64 else np.float32
 
     def _see(self, index: int, observation: Any) -> None:  # noqa: ANN401 - an array or a mapping of arrays
@@ -88,7 +88,7 @@ class LibraryRobots(RobotsEnv):
         return TensorDict({**given, **rest}, self.batch_size)
 
     def _new_seen(self) -> None:
-        """Leave what was given out to those who got it."""
+        """Copy the buffers, so that observations handed out before stay unchanged."""
         self.seen = {key: values.copy() for key, values in self.seen.items()}
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
@@ -116,7 +116,7 @@ class LibraryRobots(RobotsEnv):
         return self._give(terminated, truncated, reward=column(reward))
 
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
-        """Seed the robots one after another, each with what the one before makes of its own; return the next seed."""
+        """Seed the robots one after another, each with the seed that the one before returns; return the last one's."""
         for robot in self.robots:
             seed = robot.set_seed(seed, static_seed=static_seed)
         return seed
@@ -125,29 +125,29 @@ class LibraryRobots(RobotsEnv):
         self.set_seed(seed)
 
     def glance(self) -> Glance:
-        """Look at the robots as they are now; ball joints are no hips."""
+        """Return the present measurements of the robots; ball joints are not hips."""
         robot, graph, half = self.sensor.robot, self.sensor.graph, self.sensor.features // 2
         hips = [graph.nodes.index(leg[0].name) for leg in robot.legs]
         node, place = foot_slots(robot).T
-        # Of the two contacts of a ground node the second stands where velocities do.
+        # The second of a ground node's two contacts is in the velocities' half.
         return Glance(
             self.sensed[:, 0, 0], self.sensed[:, hips, 0] * robot.hip_signs, self.sensed[:, node, place * half] > 0.5
         )
 
     def checkpoint(self) -> dict[str, Any]:
-        """Return the simulators' and tasks' states, and what was observed last."""
+        """Return the states of the simulators and tasks, and the last observation."""
         seen = {key: np.array(values) for key, values in self.seen.items()}
         return {"robots": [robot_state(robot) for robot in self.robots], "seen": seen, "sensed": self.sensed.copy()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Set what :meth:`checkpoint` gave."""
+        """Restore the state returned by :meth:`checkpoint`."""
         for robot, one in zip(self.robots, state["robots"], strict=True):
             load_robot_state(robot, one)
         self.seen = {key: np.array(values) for key, values in state["seen"].items()}
         self.sensed = np.array(state["sensed"])
 
     def close(self, *, raise_if_closed: bool = True) -> None:
-        """End all of them."""
+        """Close the environments of all robots."""
         super().close(raise_if_closed=raise_if_closed)
         for robot in self.robots:
             if not robot.is_closed:

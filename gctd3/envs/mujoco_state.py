@@ -11,34 +11,34 @@ import numpy as np
 from gctd3.compat import wrapped_env
 
 INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION.value
-# Of a model; some tasks move or resize these at a reset (targets, lights).
+# Prefixes of a model's arrays; some tasks move or resize these at a reset (targets, lights).
 MOVABLE = ("actuator_", "body_", "cam_", "dof_", "eq_", "geom_", "jnt_", "light_", "site_", "tendon_")
 Generator = np.random.Generator | np.random.RandomState
 
 
 def integration_state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """All that the next physics step depends on, as one vector."""
+    """Return everything that the next physics step depends on, as one vector."""
     state = np.empty(mujoco.mj_stateSize(model, INTEGRATION))
     mujoco.mj_getState(model, data, state, INTEGRATION)
     return state
 
 
 def load_integration_state(model: mujoco.MjModel, data: mujoco.MjData, state: np.ndarray) -> None:
-    """Set what :func:`integration_state` gave."""
+    """Restore the state returned by :func:`integration_state`."""
     mujoco.mj_setState(model, data, np.array(state), INTEGRATION)
 
 
 def task_state(task: Any, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, Any]:  # noqa: ANN401
-    """State of a task of dm_control's suite or of Gymnasium's MuJoCo robots, which have no method for it.
+    """Return the state of a task of dm_control's suite or Gymnasium's MuJoCo robots, which have no method for it.
 
-    Besides the simulator these are numbers, arrays and random generators in the attributes of the task and of what is
-    wrapped around it: counters of steps, goals, whether a reset is due. A task that keeps its memory in other things
-    (lists, objects of its own) goes on without it.
+    Besides the simulator's state these are numbers, arrays and random generators in the attributes of the task and of
+    its wrappers: counters of steps, goals, whether a reset is due. The memory that a task keeps in other types (lists,
+    objects of its own) is not saved.
 
     Args:
         task: A ``dm_control.rl.control.Environment`` or a ``gymnasium.Env``.
-        model: Its simulator's model.
-        data: Its simulator's data.
+        model: Model of its simulator.
+        data: Data of its simulator.
     """
     return {
         "integration": integration_state(model, data),
@@ -50,7 +50,7 @@ def task_state(task: Any, model: mujoco.MjModel, data: mujoco.MjData) -> dict[st
 
 
 def load_task_state(task: Any, model: mujoco.MjModel, data: mujoco.MjData, state: dict[str, Any]) -> None:  # noqa: ANN401
-    """Set what :func:`task_state` gave.
+    """Restore the state returned by :func:`task_state`.
 
     Raises:
         ValueError: If it is of another task.
@@ -71,7 +71,7 @@ def load_task_state(task: Any, model: mujoco.MjModel, data: mujoco.MjData, state
 
 
 def _layers(task: Any) -> Iterator[Any]:  # noqa: ANN401
-    """What holds the task's memory, from the outside in."""
+    """Yield the objects that hold the task's memory, from the outside in."""
     if hasattr(task, "physics"):
         # What the suite wraps around a task passes its questions on, and remembers nothing itself.
         while (inner := wrapped_env(task)) is not None:
@@ -111,7 +111,7 @@ def _set_generator(generator: Generator, state: dict[str, Any]) -> None:
 
 
 def _derived(model: mujoco.MjModel, data: mujoco.MjData) -> list[np.ndarray]:
-    """Arrays of a simulator's data whose size does not depend on its contacts and constraints."""
+    """Return the arrays of a simulator's data whose size does not depend on its contacts and constraints."""
     fresh = mujoco.MjData(model)
     fixed = [name for name in _float_arrays(fresh) if getattr(fresh, name).size]
     return [getattr(data, name) for name in fixed]

@@ -1,4 +1,4 @@
-"""Nodes for other people's environments: what each node of a robot's graph senses, read from their simulator.
+"""Node features for environments of other libraries, read from their simulator.
 
 Works on TorchRL's :class:`~torchrl.envs.DMControlEnv` and on its :class:`~torchrl.envs.GymEnv` of Gymnasium's MuJoCo
 robots, one robot each; several are a :class:`~torchrl.envs.SerialEnv` or :class:`~torchrl.envs.ParallelEnv` of such.
@@ -24,27 +24,27 @@ from gctd3.robots.mjcf import body_name
 from gctd3.robots.robot import Robot
 
 KINDS = ("root", "base", "hinge", "slide", "ball", "ground")
-# An odd number, and a frame's is even: a network that takes them for frames finds that they are none.
+# An odd number, while a frame's is even: a network that takes these columns for frames finds the mistake.
 STATIC = (*KINDS, "actuated", "limited", "lower", "upper", "mass")
 
 
 class NodeSensor:
-    """Reads the nodes' features off a MuJoCo state.
+    """Read the nodes' features from a MuJoCo state.
 
-    Half of a node's features are positions, half velocities: of the root its height from standing (m) and forward
-    velocity (m/s), of a base node its coordinate and rate (m or rad, and per second), of a joint its angle and velocity
-    (rad or m, and per second). The ground's are the contacts of its feet, 0 or 1. Each half is one number, or three if
-    the robot has a ball joint, whose position is a rotation vector (rad); shorter ones are padded with zeros.
+    Half of a node's features are positions, half velocities: for the root its height from standing (m) and forward
+    velocity (m/s), for a base node its coordinate and rate (m or rad, and per second), for a joint its angle and
+    velocity (rad or m, and per second). A ground node has the contacts of its feet, 0 or 1. Each half is one number, or
+    three if the robot has a ball joint, whose position is a rotation vector (rad); shorter ones are padded with zeros.
 
     Args:
         model: The robot's model.
         feet: Names of the bodies that may touch the ground, see :meth:`.Robot.from_mjcf`.
-        forward: Where forward is, likewise.
+        forward: Forward axis, see :meth:`.Robot.from_mjcf`.
 
     Attributes:
-        robot: What it was read as.
-        graph: Its graph, with a node for each row of the features.
-        features: ``F``, features of a node in one frame.
+        robot: The robot read from the model.
+        graph: The robot's graph, with a node for each row of the features.
+        features: ``F``, the number of features of a node in one frame.
     """
 
     def __init__(self, model: mujoco.MjModel, feet: Sequence[str] | None = None, forward: Axis | None = None) -> None:
@@ -61,7 +61,7 @@ class NodeSensor:
         self._standing = self.robot.base.read(standing, np.zeros(model.nv)).get("height", (np.zeros(()),))[0]
 
     def read(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-        """Features of all nodes now, shape ``[N, F]``."""
+        """Return the present features of all nodes, shape ``[N, F]``."""
         values = np.zeros((self.graph.num_nodes, 2, self._half), dtype=np.float32)
         base = self.robot.base.read(np.array(data.qpos), np.array(data.qvel))
         nothing = np.zeros(()), np.zeros(())
@@ -81,12 +81,12 @@ class NodeSensor:
         return values.reshape(self.graph.num_nodes, self.features)
 
     def position(self, data: mujoco.MjData) -> float:
-        """The way forward from the world's origin (m); 0 of a robot that cannot move that way."""
+        """Return the forward distance from the world's origin (m); 0 for a robot that cannot move that way."""
         base = self.robot.base.read(np.array(data.qpos), np.array(data.qvel))
         return float(base["forward"][0]) if "forward" in base else 0.0
 
     def feet_down(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-        """Whether each foot touches something that does not move, shape ``[feet]``."""
+        """Return whether each foot touches a body fixed to the world, shape ``[feet]``."""
         touching: set[int] = set()
         if data.ncon:
             bodies = np.array(model.geom_bodyid)[np.array(data.contact.geom)]
@@ -96,10 +96,10 @@ class NodeSensor:
         return np.array([foot in touching for foot in self._feet])
 
     def static(self) -> np.ndarray:
-        """What does not change, columns as in ``STATIC``, shape ``[N, 11]``.
+        """Return the constant features of all nodes, columns as in ``STATIC``, shape ``[N, 11]``.
 
-        The node's kind as zeros and a one; whether an action moves it; whether it has limits; these (rad or m, 0 where
-        there is none); the share of the robot's mass that its body has.
+        They are the node's one-hot kind; whether an action moves it; whether it has both limits; the limits (rad or m,
+        0 for a missing one); its body's share of the robot's mass.
         """
         model, robot, graph = self.robot.model, self.robot, self.graph
         bodies = [body_name(model, body) for body in range(model.nbody)]
@@ -117,7 +117,7 @@ class NodeSensor:
 
 
 class Nodes(Transform):
-    """Writes ``"nodes"`` ``[N, F]``, read from the simulator of the environment that it stands on.
+    """Write ``"nodes"`` ``[N, F]``, read from the simulator of the wrapped environment.
 
     Args:
         env: The environment, see :func:`sensor_of`.
@@ -125,7 +125,7 @@ class Nodes(Transform):
         forward: See :class:`NodeSensor`.
 
     Attributes:
-        sensor: What reads them; its ``graph`` is that of the networks.
+        sensor: Sensor that reads the nodes; its ``graph`` is that of the networks.
     """
 
     def __init__(self, env: EnvBase, feet: Sequence[str] | None = None, forward: Axis | None = None) -> None:
@@ -140,16 +140,16 @@ class Nodes(Transform):
         return self._call(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Adds ``"nodes"``."""
+        """Add ``"nodes"`` to the observation spec."""
         observation_spec["nodes"] = Unbounded((self.sensor.graph.num_nodes, self.sensor.features))
         return observation_spec
 
 
 class StaticNodes(Transform):
-    """Puts :meth:`NodeSensor.static` behind every node's features; comes after frames were stacked.
+    """Append :meth:`NodeSensor.static` to every node's features, after frames were stacked.
 
     Args:
-        sensor: What knows them.
+        sensor: Sensor with the constant features.
     """
 
     static: torch.Tensor
@@ -165,7 +165,7 @@ class StaticNodes(Transform):
         return self._call(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Widens ``"nodes"``."""
+        """Add the constant features to the spec of ``"nodes"``."""
         n, features = observation_spec["nodes"].shape
         observation_spec["nodes"] = Unbounded((n, features + self.static.shape[-1]))
         return observation_spec
@@ -178,16 +178,16 @@ def with_nodes(
     feet: Sequence[str] | None = None,
     forward: Axis | None = None,
 ) -> TransformedEnv:
-    """The same environment, which also writes ``"nodes"`` ``[N, history * F]`` (oldest frame first), in float32.
+    """Add ``"nodes"`` ``[N, history * F]`` (oldest frame first), in float32, to what an environment writes.
 
     Args:
         env: A ``DMControlEnv``, or a ``GymEnv`` of a MuJoCo robot, without transforms.
-        history: Frames stacked.
-        static: Whether to put :meth:`NodeSensor.static` behind them. An equivariant network then needs
+        history: Number of frames stacked.
+        static: Whether to append :meth:`NodeSensor.static` to them. An equivariant network then needs
             ``Reflection.from_robot(robot, static=len(STATIC))``.
-        feet: Names of the bodies that may touch the ground; ``None`` for those that the robot stands on in the pose in
-            which its model is, which may be lying.
-        forward: Where forward is, ``x``, ``-x``, ``y`` or ``-y`` of the world; ``None`` to find out.
+        feet: Names of the bodies that may touch the ground; ``None`` for those that the robot stands on in the pose of
+            its model, which may be lying.
+        forward: Forward axis, ``x``, ``-x``, ``y`` or ``-y`` of the world; ``None`` to detect it.
 
     Returns:
         The environment; ``env.transform[0].sensor.graph`` is the graph for the networks, ``.robot`` its robot.
@@ -206,7 +206,7 @@ def with_nodes(
 
 
 def sensor_of(env: EnvBase, feet: Sequence[str] | None = None, forward: Axis | None = None) -> NodeSensor:
-    """What reads the nodes of an environment; ``feet`` and ``forward`` as for :class:`NodeSensor`.
+    """Create the node sensor of an environment; ``feet`` and ``forward`` as for :class:`NodeSensor`.
 
     Raises:
         ConfigError: If it has no MuJoCo simulator, or more than one.
@@ -216,7 +216,7 @@ def sensor_of(env: EnvBase, feet: Sequence[str] | None = None, forward: Axis | N
 
 
 def simulator(env: EnvBase) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """The simulator's model and data, as they are now: some tasks build a new model at a reset.
+    """Return the simulator's present model and data: some tasks build a new model at a reset.
 
     Raises:
         ConfigError: If there is no MuJoCo simulator, or more than one.

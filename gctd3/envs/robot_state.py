@@ -12,13 +12,13 @@ from gctd3.envs.nodes import simulator
 
 
 def robot_state(wrapper: EnvBase) -> dict[str, Any]:
-    """Return everything that the next steps depend on, but the actions."""
+    """Return everything that the next steps depend on, except the actions."""
     inner = wrapped_env(wrapper)
     return inner.state_dict() if hasattr(inner, "state_dict") else task_state(inner, *simulator(wrapper))
 
 
 def load_robot_state(wrapper: EnvBase, state: dict[str, Any]) -> None:
-    """Set what :func:`robot_state` gave."""
+    """Restore the state returned by :func:`robot_state`."""
     inner = wrapped_env(wrapper)
     if hasattr(inner, "load_state_dict"):
         inner.load_state_dict(state)

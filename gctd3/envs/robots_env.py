@@ -1,4 +1,4 @@
-"""What every environment of N robots at once has: its specs, its ends, who is to be reset, and what is seen of it."""
+"""The base of environments of N robots at once: specs, done keys, partial resets and measurements for evaluations."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from torchrl.envs import EnvBase
 
 @dataclass(frozen=True)
 class Glance:
-    """What is seen of robots beside what their policies observe, for who judges them.
+    """Hold measurements of robots for their evaluation, besides their policies' observations.
 
     Attributes:
         height: Body height from standing, shape ``[N]`` (m).
-        hips: Angles of the hips, one a leg, in the sense of their mirror images, shape ``[N, feet]`` (rad).
+        hips: Hip angles, one per leg, with the sign of the first hip of a mirrored pair, shape ``[N, feet]`` (rad).
         feet_down: Whether each foot touches the ground, shape ``[N, feet]``.
     """
 
@@ -29,17 +29,17 @@ class Glance:
 
 
 class RobotsEnv(EnvBase):
-    """N robots as one TorchRL environment of batch size ``[N]``.
+    """Represent N robots as one TorchRL environment of batch size ``[N]``.
 
     Writes, with leading dimension ``[N]``: ``nodes``, ``counters``, ``position [1]`` (m), ``success [1]``,
     ``diverged [1]``, TorchRL's reward and done keys, and what :class:`torchrl.envs.InitTracker` and
     :class:`torchrl.envs.StepCounter` would: ``is_init [1]``, ``step_count [1]``. Actions: ``[A]`` in [-1, 1].
 
     Args:
-        robots: ``N``.
-        nodes: Shape of a robot's nodes.
-        counters: Numbers in its counters.
-        actions: ``A``.
+        robots: ``N``, the number of robots.
+        nodes: Shape of a robot's node features.
+        counters: Number of a robot's counters.
+        actions: ``A``, the number of a robot's actions.
     """
 
     def __init__(self, robots: int, nodes: tuple[int, int], counters: int, actions: int) -> None:
@@ -62,31 +62,31 @@ class RobotsEnv(EnvBase):
 
     @abstractmethod
     def glance(self) -> Glance:
-        """Look at the robots as they are now."""
+        """Return the present measurements of the robots."""
 
     @abstractmethod
     def checkpoint(self) -> dict[str, Any]:
-        """Return everything that the next steps depend on, but the actions; arrays are copies."""
+        """Return everything that the next steps depend on, except the actions; arrays are copies."""
 
     @abstractmethod
     def restore(self, state: dict[str, Any]) -> None:
-        """Set what :meth:`checkpoint` gave."""
+        """Restore the state returned by :meth:`checkpoint`."""
 
     def chosen(self, tensordict: TensorDictBase | None) -> np.ndarray:
-        """The robots that a reset is for, bool ``[N]``: all, if it does not say."""
+        """Return the mask of the robots to reset, bool ``[N]``: all of them if ``"_reset"`` is missing."""
         (n,) = self.batch_size
         mask = None if tensordict is None else tensordict.get("_reset", None)
         return np.ones(n, dtype=bool) if mask is None else mask.reshape(n).cpu().numpy()
 
 
 def column(values: np.ndarray) -> torch.Tensor:
-    """One number of each robot, ``[N]``, as ``[N, 1]``."""
+    """Return one number per robot, ``[N]``, as a tensor ``[N, 1]``."""
     # NumPy's is several times quicker than PyTorch's. By indexing the stride would be 0, on which torch.stack dies.
     return torch.from_numpy(values.reshape(-1, 1))
 
 
 def ends(terminated: np.ndarray, truncated: np.ndarray) -> dict[str, torch.Tensor]:
-    """TorchRL's done keys, from bool ``[N]``."""
+    """Return TorchRL's done keys, from bool ``[N]``."""
     return {
         "done": column(terminated | truncated),
         "terminated": column(terminated),

@@ -18,13 +18,13 @@ MOST_THREADS = 1024
 
 @dataclass(frozen=True)
 class EnvSettings:
-    """Where and how many robots are stepped.
+    """Hold the settings of an environment: where and how many robots are stepped.
 
     Attributes:
         backend: ``batched`` steps all robots at once with MuJoCo; ``dm_control`` one after another with dm_control;
             ``library`` is for tasks of other libraries, which step robots themselves.
-        num_envs: Robots that are simulated side by side.
-        threads: Of the batched backend; all cores if ``None``. Results do not depend on it.
+        num_envs: Number of robots simulated side by side.
+        threads: Threads of the batched backend; all cores if ``None``. Results do not depend on it.
         check: Whether every step is checked by :class:`.CheckStep`.
     """
 
@@ -40,26 +40,26 @@ class EnvSettings:
         check_between(self, 1, MOST_THREADS, "threads")
 
     def judging(self, episodes: int, threads: int | None = None) -> EnvSettings:
-        """Return the same for one evaluation: a robot for each episode, all at once where that can be."""
+        """Return the settings for one evaluation: one robot per episode, all stepped at once where possible."""
         backend = "batched" if self.backend == "dm_control" else self.backend
         return replace(self, backend=backend, num_envs=episodes, threads=threads)
 
     def share(self, num_envs: int, threads: int) -> EnvSettings:
-        """Return the same for some of the robots, stepped by ``threads`` threads."""
+        """Return the settings for some of the robots, stepped by ``threads`` threads."""
         return replace(self, num_envs=num_envs, threads=threads)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LibrarySettings(TaskSettings):
-    """A task of another library, with its own robot, reward and terminations.
+    """Hold the settings of a task of another library, with its own robot, reward and terminations.
 
     Attributes:
         library: ``dm_control`` or ``gymnasium``.
         name: ``domain-task`` of dm_control's suite, or Gymnasium's id; its actions are scaled to [-1, 1].
-        history: Frames stacked into an observation.
-        observation: ``nodes``: of the robot's graph, see :class:`.NodeSensor`; ``flat``: what the task itself gives,
-            all of it as a single node, which is for networks without graph layers.
-        static: Whether every frame of a node also says what it is (:meth:`.NodeSensor.static`).
+        history: Number of frames stacked into an observation.
+        observation: ``nodes`` of the robot's graph, see :class:`.NodeSensor`, or ``flat`` for the task's own
+            observation as a single node, which is for networks without graph layers.
+        static: Whether every frame of a node also has its constant features (:meth:`.NodeSensor.static`).
     """
 
     library: Library

@@ -17,18 +17,18 @@ from gctd3.tasks.outcome import Outcome
 from gctd3.tasks.simulated_task import SimulatedTask
 
 MOST_SUBSTEPS = 1000
-# Of the simulator's clock (s). Not 0: MuJoCo sets it to that when it starts a robot anew, which is how that is seen.
+# Start of the simulator's clock (s). Not 0: MuJoCo sets it to 0 when it resets a diverged robot, which reveals that.
 BEGINNING = 1.0
 
 
 class Simulation:
-    """A batch of robots. Physics, sensing, reward and endings; resets are the caller's.
+    """Simulate a batch of robots: physics, sensing, reward and terminations; the caller resets them.
 
     Args:
         task: The task; it holds the robot.
-        num_robots: Robots stepped together.
-        seed: Of the starts and commands.
-        threads: Of the pool; all cores if ``None``. Results do not depend on it.
+        num_robots: Number of robots stepped together.
+        seed: Seed of the starts and commands.
+        threads: Threads of the pool; all cores if ``None``. Results do not depend on it.
 
     Raises:
         ConfigError: If a count is below 1, or the task's control period is not a multiple of the MJCF's timestep.
@@ -72,12 +72,12 @@ class Simulation:
 
     @property
     def qpos(self) -> np.ndarray:
-        """Generalised positions, shape ``[N, nq]``."""
+        """Return the generalised positions, shape ``[N, nq]``."""
         return self.state[:, self._qpos]
 
     @property
     def qvel(self) -> np.ndarray:
-        """Generalised velocities, shape ``[N, nv]``."""
+        """Return the generalised velocities, shape ``[N, nv]``."""
         return self.state[:, self._qvel]
 
     def reset(self, mask: np.ndarray) -> None:
@@ -101,7 +101,7 @@ class Simulation:
         self.memory = put_rows(self.memory, robots, task.begin(fresh, self.rng))
 
     def step(self, action: np.ndarray) -> Outcome:
-        """One control step of every robot; ``action [N, A]`` in [-1, 1] maps affinely onto the servos' ranges.
+        """Take one control step of every robot; ``action [N, A]`` in [-1, 1] maps affinely onto the servos' ranges.
 
         A robot whose simulation fails stays where it was, and its episode ends as by a fall.
 
@@ -131,18 +131,18 @@ class Simulation:
         return outcome
 
     def desired(self, action: np.ndarray) -> np.ndarray:
-        """What an action ``[*, A]`` in [-1, 1] asks of the servos, shape ``[*, A]`` (rad)."""
+        """Return the desired joint angles of an action ``[*, A]`` in [-1, 1], shape ``[*, A]`` (rad)."""
         return self._middle + self._half * np.clip(action, -1.0, 1.0)
 
     def trail(self) -> np.ndarray:
-        """Full physics states through the last control step, its begin and its end included.
+        """Return the full physics states through the last control step, its beginning and end included.
 
         Shape ``[N, substeps + 1, size]``: time (s), ``qpos``, ``qvel`` and the actuators' states.
         """
         return np.concatenate([self._before[:, None], self._states], axis=1)
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that the next steps depend on, but the actions."""
+        """Return everything that the next steps depend on, except the actions."""
         return {
             "state": self.state.copy(),
             "now": self.now.to_dict(),
@@ -151,7 +151,7 @@ class Simulation:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore :meth:`state_dict`."""
+        """Restore the state returned by :meth:`state_dict`."""
         self.state = np.array(state["state"])
         self.now = Measurement.from_dict(state["now"])
         self.memory = {name: np.array(values) for name, values in state["memory"].items()}
@@ -159,11 +159,11 @@ class Simulation:
 
 
 def substeps_of(control_dt: float, robot: Robot) -> int:
-    """Physics steps in a control step.
+    """Return the number of physics steps in a control step.
 
     Raises:
-        ConfigError: If the period is not a positive multiple of the MJCF's timestep, or thousands of it.
-        RobotError: If the timestep is none.
+        ConfigError: If the period is not a whole multiple, 1 to 1000, of the MJCF's timestep.
+        RobotError: If the timestep is not positive.
     """
     timestep = robot.model.opt.timestep
     # MuJoCo takes any number for a timestep.

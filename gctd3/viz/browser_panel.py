@@ -26,19 +26,19 @@ REST = 1.0  # between the end of an episode and the next (s)
 SPEEDS = (0.05, 2.0)  # slowest and fastest, as multiples of real time
 PUSH = 1.0  # change of the whole robot's velocity by the strongest push (m/s)
 FRICTION = (0.05, 1.5)
-# Of a leg's joints, from the hip down, and of feet.
+# Colours of a leg's joints, from the hip down, and of feet.
 COLOURS = ("#2f6fb5", "#d9772a", "#6b8f4e", "#8a4fa0", "#b5502f", "#4a4f57")
 _CAMERA, _AT = (0.4, -2.3, 0.25), (0.15, 0.0, -0.25)  # from the body, as is what it looks at (m)
 
 
 class Panel:
-    """The walk of one policy at a time, until :meth:`run` is interrupted.
+    """Show the walk of one policy at a time, until :meth:`run` is interrupted.
 
     Args:
-        server: That browsers are connected to.
-        load: A walk by the name of its run.
-        runs: The names to choose from, the first one first.
-        seed: Of the first start; every further one has the next.
+        server: Server that browsers connect to.
+        load: Function that loads a walk by the name of its run.
+        runs: Names of the runs to choose from, starting with the first.
+        seed: Seed of the first start; every reset adds 1.
 
     Raises:
         RunError: If the first run cannot be shown.
@@ -56,7 +56,7 @@ class Panel:
         self._open(self.runs[0], load(self.runs[0]))
 
     def run(self) -> None:
-        """Walk in real time, times the chosen speed, for as long as nothing is raised."""
+        """Walk in real time, times the chosen speed, until an exception is raised."""
         due = shown = plotted = time.perf_counter()
         while True:
             asked = self._grant()
@@ -75,7 +75,7 @@ class Panel:
             time.sleep(max(0.002, min(FRAME, due - time.perf_counter())) if not self.paused else FRAME)
 
     def _grant(self) -> bool:
-        """Do what browsers asked for; whether they did."""
+        """Handle the requests of browsers; return whether there were any."""
         asked = False
         while not self._wishes.empty():
             self._wishes.get()()
@@ -83,7 +83,7 @@ class Panel:
         return asked
 
     def _advance(self) -> float:
-        """One control step, or a new start; how long it takes (s)."""
+        """Take one control step, or start anew; return its duration (s)."""
         live = self.live
         if live.now.done:
             self._reset()
@@ -171,7 +171,7 @@ class Panel:
         return self.server.gui.add_slider(name, min=low, max=high, step=step, initial_value=begin, hint=hint)
 
     def _on(self, register: Callable[[Callable[[object], None]], object], wish: Callable[[], object]) -> None:
-        """Have the walk's own thread do ``wish`` whenever a browser asks for it."""
+        """Let the walk's own thread call ``wish`` whenever a browser asks for it."""
         register(lambda event: self._wishes.put(wish))
 
     def _choose(self, run: str) -> None:
@@ -201,7 +201,7 @@ class Panel:
         )
 
     def _show(self) -> None:
-        """The robot as it is now, the metres around it, and the numbers."""
+        """Show the present robot, the metre marks around it, and the numbers."""
         live, now = self.live, self.live.now
         self._scene.update_from_mjdata(live.show())
         wanted = {metre for step in MARKS if (metre := int(now.position) + step) >= 0}

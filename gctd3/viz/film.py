@@ -24,7 +24,7 @@ from gctd3.viz.live_session import LiveWalk, Moment, foot_geoms
 from gctd3.viz.offscreen import Canvas, find_backend
 
 FPS = 25  # GIF players show 25 frames a second well, 50 badly
-# Where a robot is seen from whose MJCF names no such camera: azimuth from its forward axis, elevation (degrees).
+# Views of a robot whose MJCF names no such camera: azimuth from its forward axis, elevation (degrees).
 VIEWS = {"side": (90.0, -8.0), "three_quarter": (130.0, -18.0)}
 CLIP, CLIP_SIZE = 5.0, (320, 240)  # of a training's policies (s; pixels)
 _SHADOW = 1024  # pixels of the shadow map; the shipped MJCFs' 4096 are much for a renderer in software
@@ -34,13 +34,13 @@ _INK, _PAINT = (30, 30, 30), np.array([0.25, 0.27, 0.30, 1.0], np.float32)
 
 @dataclass(frozen=True)
 class Walk:
-    """One episode as the simulator saw it: a row for each control step.
+    """Hold one simulated episode, a row for each control step.
 
     Attributes:
-        qpos: Shape ``[T, nq]``.
-        velocity: Forward, shape ``[T]`` (m/s).
+        qpos: Generalised positions, shape ``[T, nq]``.
+        velocity: Forward velocity, shape ``[T]`` (m/s).
         position: Distance walked, shape ``[T]`` (m).
-        reward: Shape ``[T]``.
+        reward: Reward of the step, shape ``[T]``.
     """
 
     qpos: np.ndarray
@@ -50,7 +50,7 @@ class Walk:
 
     @property
     def total(self) -> np.ndarray:
-        """Return so far, shape ``[T]``."""
+        """Return the cumulative reward after each step, shape ``[T]``."""
         return np.cumsum(self.reward)
 
 
@@ -85,20 +85,20 @@ def draw(
     dt: float,
     words: bool = True,
 ) -> Iterator[Image.Image]:
-    """The frames of ``steps``, each with its time, distance, speed, reward and return, and a mark at every metre.
+    """Draw the frames of ``steps``, each with its time, distance, speed, reward and return, and a mark at every metre.
 
     Args:
-        walk: Of :func:`record`.
-        robot: Its robot.
+        walk: The walk from :func:`record`.
+        robot: The robot of the walk.
         steps: Rows of the walk.
-        camera: Of the MJCF, or one of :data:`VIEWS`.
+        camera: A camera of the MJCF, or one of :data:`VIEWS`.
         size: Width and height (pixels).
         dt: Control period (s).
-        words: Whether numbers are drawn, those of the marks too.
+        words: Whether to draw numbers, those of the marks too.
 
     Raises:
         ConfigError: If the robot has no such camera.
-        RenderError: If there is nothing to draw with.
+        RenderError: If no OpenGL backend works.
     """
     check_camera(robot, camera)
     model, data, font = robot.model, mujoco.MjData(robot.model), ImageFont.load_default(13)
@@ -122,7 +122,7 @@ def draw(
 
 
 def start_point(robot: Robot) -> np.ndarray:
-    """The point of the ground from which distance counts, shape ``[3]`` (m)."""
+    """Return the point of the ground from which distance is measured, shape ``[3]`` (m)."""
     data = mujoco.MjData(robot.model)
     data.qpos[:] = robot.standing_qpos
     mujoco.mj_kinematics(robot.model, data)
@@ -131,7 +131,7 @@ def start_point(robot: Robot) -> np.ndarray:
 
 
 def _mark(scene: mujoco.MjvScene, robot: Robot, origin: np.ndarray, metre: int, words: bool) -> None:
-    """A line across the way, with its distance from the start if there are to be ``words``."""
+    """Draw a line across the way, with its distance from the start if ``words`` is set."""
     if metre < 0 or scene.ngeom + 2 > scene.maxgeom:
         return
     forward, side, up = robot.base.frame
@@ -163,7 +163,7 @@ def _camera(robot: Robot, data: mujoco.MjData, name: str) -> mujoco.MjvCamera:
 
 
 def sheet(frames: Sequence[Image.Image], columns: int) -> Image.Image:
-    """The frames in rows of ``columns``."""
+    """Place the frames on one image, in rows of ``columns``."""
     width, height = frames[0].size
     rows = -(-len(frames) // columns)
     page = Image.new("RGB", (columns * width, rows * height), "white")
@@ -173,12 +173,12 @@ def sheet(frames: Sequence[Image.Image], columns: int) -> Image.Image:
 
 
 def stride(speed: float, dt: float) -> int:
-    """Control steps from one frame of an animation at ``speed`` times real time to the next."""
+    """Return the number of control steps between frames of an animation at ``speed`` times real time."""
     return max(1, round(speed / FPS / dt))
 
 
 def clip(policy: TensorDictModuleBase, task: SimulatedTask, seed: int) -> list[Image.Image]:
-    """Film the first :data:`CLIP` seconds of a policy's walk, :data:`FPS` frames a second in real time."""
+    """Render the first :data:`CLIP` seconds of a policy's walk, :data:`FPS` frames a second in real time."""
     dt = task.control_dt
     walk = record(policy, task, seed, round(CLIP / dt))
     return list(draw(walk, task.robot, np.arange(0, len(walk.qpos), stride(1.0, dt)), "side", CLIP_SIZE, dt))
@@ -197,7 +197,7 @@ def check_video() -> None:
 
 
 def write_animation(path: Path, frames: Iterator[Image.Image], fps: float) -> None:
-    """Write frames as a ``.gif`` or as a ``.mp4`` (H.264), which is there only once it is whole.
+    """Write frames as a ``.gif`` or as a ``.mp4`` (H.264), which appears only once it is complete.
 
     Raises:
         RenderError: If the package for videos is missing, or ffmpeg fails.
@@ -213,7 +213,7 @@ def write_animation(path: Path, frames: Iterator[Image.Image], fps: float) -> No
 
 
 def gif(frames: Iterable[Image.Image], fps: float) -> bytes:
-    """Frames as an animated GIF that repeats."""
+    """Encode frames as an animated GIF that repeats."""
     first, *more = frames
     file = io.BytesIO()
     first.save(file, format="GIF", save_all=True, append_images=more, duration=round(1000 / fps), loop=0)

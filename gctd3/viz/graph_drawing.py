@@ -33,12 +33,12 @@ _VISIBLE = 2  # MuJoCo's viewer shows geoms of the groups 0 to 2
 
 
 def draw_graph(robot: Robot, graph: KinematicGraph, size: int = 720) -> Picture:
-    """A robot in its standing pose, its graph on top, the nodes' names beside.
+    """Draw a robot in its standing pose, its graph on top, the nodes' names beside.
 
     Args:
         robot: The robot.
-        graph: Of :meth:`.KinematicGraph.from_robot`, whichever preset.
-        size: Of the robot's picture, its longer side (pixels).
+        graph: Graph from :meth:`.KinematicGraph.from_robot`, of any preset.
+        size: Longer side of the robot's picture (pixels).
     """
     data = mujoco.MjData(robot.model)
     data.qpos[:] = robot.standing_qpos
@@ -59,7 +59,7 @@ def draw_graph(robot: Robot, graph: KinematicGraph, size: int = 720) -> Picture:
     height = max(float(extent[1]), _ROW * (min(_ROWS, graph.num_nodes) + 3))
 
     def page(points: np.ndarray) -> tuple[Point, ...]:
-        """From pixels with y upwards to the picture's."""
+        """Convert pixels with y upwards to the picture's coordinates."""
         return tuple((float(x + lift[0]), float(extent[1] - y - lift[1])) for x, y in points)
 
     things: list[Polygon | Disc | Words] = [Polygon(page((floor - low) * scale), *COLOURS["ground"][1:])]
@@ -78,13 +78,13 @@ def draw_graph(robot: Robot, graph: KinematicGraph, size: int = 720) -> Picture:
 
 
 def _flat(robot: Robot, points: np.ndarray) -> np.ndarray:
-    """Points of the world ``[K, 3]`` in the picture's plane ``[K, 2]``, both in metres."""
+    """Project points of the world ``[K, 3]`` onto the picture's plane ``[K, 2]``, both in metres."""
     forward, side, up = (points @ robot.base.frame.T).T
     return np.stack([forward + ASLANT[0] * side, up + ASLANT[1] * side], axis=1)
 
 
 def _sides(robot: Robot, data: mujoco.MjData) -> dict[str, str]:
-    """Whether each joint is on the right, the left or in the middle."""
+    """Return whether each joint is on the right, the left or in the middle."""
     sides = {}
     for joint in robot.joints:
         other = robot.joint(robot.mirror[joint.name])
@@ -100,7 +100,7 @@ def _sides(robot: Robot, data: mujoco.MjData) -> dict[str, str]:
 
 
 def _silhouette(robot: Robot, data: mujoco.MjData, sides: dict[str, str]) -> list[tuple[np.ndarray, str]]:
-    """Outlines ``[K, 2]`` (m) of the geoms with the side that each is on, the farthest first."""
+    """Return the outlines ``[K, 2]`` (m) of the geoms and the side of each, the farthest first."""
     model, drawn = robot.model, []
     shown: list[int] = []
     for body in bodies_below(model, robot.base.root):
@@ -120,7 +120,7 @@ def _silhouette(robot: Robot, data: mujoco.MjData, sides: dict[str, str]) -> lis
 
 
 def _places(robot: Robot, graph: KinematicGraph, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-    """Where the nodes are, ``[N, 2]``, and the corners of a piece of ground below the robot, ``[4, 2]`` (m)."""
+    """Return the nodes' places, ``[N, 2]``, and the corners of a piece of ground below the robot, ``[4, 2]`` (m)."""
     model, (forward, side, up) = robot.model, robot.base.frame
     bodies = {body_name(model, b): b for b in bodies_below(model, robot.base.root)}
     soles = np.array([_sole(robot, data, bodies[foot]) for foot in robot.feet])
@@ -153,7 +153,7 @@ def _places(robot: Robot, graph: KinematicGraph, data: mujoco.MjData) -> tuple[n
 
 
 def _sole(robot: Robot, data: mujoco.MjData, body: int) -> np.ndarray:
-    """The lowest points of a foot, averaged; its origin if nothing of it collides."""
+    """Return the mean of a foot's lowest points; its origin if it has no colliding geom."""
     clouds = [geom_points(robot.model, data, g) for g in colliding_geoms(robot.model, body)]
     points = np.concatenate(clouds) if clouds else data.xpos[body][None]
     low = float(points[:, 2].min())
@@ -162,7 +162,7 @@ def _sole(robot: Robot, data: mujoco.MjData, body: int) -> np.ndarray:
 
 
 def _apart(places: np.ndarray, least: float) -> np.ndarray:
-    """Points ``[N, 2]`` moved as little as it takes for each two to be ``least`` apart."""
+    """Move points ``[N, 2]`` apart until every two are about ``least`` apart."""
     # Points in one place leave it in different directions, sunflower-wise.
     turns = 2.4 * np.arange(len(places))
     spread = places + 1e-3 * least * np.stack([np.cos(turns), np.sin(turns)], axis=1)
@@ -177,7 +177,7 @@ def _apart(places: np.ndarray, least: float) -> np.ndarray:
 
 
 def _arrow(tail: Point, head: Point, radius: float) -> Polygon:
-    """The point of an arrow that ends at the rim of the node at ``head``."""
+    """Return the head of an arrow that ends at the rim of the node at ``head``."""
     along = np.array(head) - np.array(tail)
     along /= max(float(np.linalg.norm(along)), 1e-9)
     tip, across = np.array(head) - radius * along, np.array([-along[1], along[0]])
@@ -192,7 +192,7 @@ def _side_of_node(graph: KinematicGraph, sides: dict[str, str], node: int) -> st
 
 
 def _names(graph: KinematicGraph, colours: list[str], left: float) -> tuple[list[Polygon | Disc | Words], float]:
-    """The list of nodes from ``left`` on, and where it ends (pixels)."""
+    """Return the shapes of the list of nodes from ``left`` on, and its right end (pixels)."""
     things: list[Polygon | Disc | Words] = []
     for place, side in enumerate(side for side in ("right", "left", "middle") if side in colours):
         things.append(Words((left + 3.0 + 42.0 * place, 0.6 * _ROW), side, 12.0, COLOURS[side][0]))
@@ -208,7 +208,7 @@ def _names(graph: KinematicGraph, colours: list[str], left: float) -> tuple[list
 
 
 def show_graph(config: DictConfig) -> None:
-    """Print the graph that a configuration asks for, and draw it if it says where to."""
+    """Print the graph that a configuration asks for, and draw it if ``out`` names a file."""
     # A robot's YAML also says how to train it.
     settings: GraphSettings = build(OmegaConf.masked_copy(config, ["_target_", *GraphSettings.__dataclass_fields__]))
     robot = settings.robot.load(settings.feet)

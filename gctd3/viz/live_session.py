@@ -21,24 +21,24 @@ _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
 
 
 def foot_geoms(robot: Robot) -> list[int]:
-    """Indices of the feet's geoms that collide."""
+    """Return the indices of the feet's colliding geoms."""
     bodies = {body_name(robot.model, body): body for body in bodies_below(robot.model, robot.base.root)}
     return [geom for foot in robot.feet for geom in colliding_geoms(robot.model, bodies[foot])]
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What there is to see after a control step, or at the start.
+    """Hold the measurements of a walk after a control step, or at the start.
 
     Attributes:
-        qpos: Shape ``[nq]``.
-        time: Since the start (s).
+        qpos: Generalised positions, shape ``[nq]``.
+        time: Time since the start (s).
         position: Distance walked (m).
-        velocity: Forward (m/s).
-        height: Of the body, from standing (m).
-        reward: Of the step.
+        velocity: Forward velocity (m/s).
+        height: Body height from standing (m).
+        reward: Reward of the step.
         total: Return so far.
-        angles: Of ``robot.joints``, shape ``[J]`` (rad).
+        angles: Angles of ``robot.joints``, shape ``[J]`` (rad).
         feet_down: Whether each foot touches the ground, shape ``[feet]``.
         done: Whether the episode has ended.
         success: Whether it ended at the finish.
@@ -58,16 +58,16 @@ class Moment:
 
 
 class LiveWalk:
-    """A walk of one robot.
+    """Simulate a walk of one robot.
 
     Args:
-        policy: Reads ``"nodes"``, writes ``"action"``; its mode is taken if it is stochastic.
-        task: What the robot is asked, under the reward that is counted; :attr:`friction` and :attr:`payload` change the
-            model of its robot.
-        seed: Of the start.
+        policy: Policy that reads ``"nodes"`` and writes ``"action"``; a stochastic one acts by its mode.
+        task: The robot's task, with the reward that is counted; :attr:`friction` and :attr:`payload` change the model
+            of its robot.
+        seed: Seed of the start.
 
     Attributes:
-        data: The simulator's state for those who draw it, contacts included; :meth:`show` fills it.
+        data: The simulator's state for drawing, contacts included; :meth:`show` fills it.
         now: The last moment.
     """
 
@@ -90,12 +90,12 @@ class LiveWalk:
 
     @property
     def simulation(self) -> Simulation:
-        """In which it walks."""
+        """Return the simulation of the walk."""
         simulation: Simulation = self._env.base_env.simulation
         return simulation
 
     def reset(self, seed: int) -> Moment:
-        """Begin a new episode; equal seeds, equal starts."""
+        """Begin a new episode; equal seeds give equal starts."""
         with torch.random.fork_rng(devices=[]):
             self._env.set_seed(seed)
             self._state = self._env.reset()
@@ -103,7 +103,7 @@ class LiveWalk:
         return self.now
 
     def step(self) -> Moment:
-        """One control step.
+        """Take one control step.
 
         Raises:
             NumericalError: If an action of the policy is not finite.
@@ -134,46 +134,46 @@ class LiveWalk:
         )
 
     def show(self) -> mujoco.MjData:
-        """:attr:`data` with the present state, its contacts computed."""
+        """Return :attr:`data` with the present state, its contacts computed."""
         mujoco.mj_setState(self.robot.model, self.data, self.simulation.state[0], _FULL)
         mujoco.mj_forward(self.robot.model, self.data)
         return self.data
 
     def push(self, forward: float, side: float = 0.0) -> None:
-        """Give the root body's centre of mass an impulse; every joint is free to yield to it.
+        """Apply an impulse to the root body's centre of mass; every joint is free to yield to it.
 
         Args:
-            forward: Along the forward axis (N s).
-            side: To the left (N s); a base that cannot move there feels nothing.
+            forward: Impulse along the forward axis (N s).
+            side: Impulse to the left (N s); without effect on a base that cannot move there.
         """
         model, data = self.robot.model, self.show()
         impulse = np.array([forward, side, 0.0]) @ self.robot.base.frame
         pushed, change = np.zeros(model.nv), np.zeros((1, model.nv))
         mujoco.mj_applyFT(model, data, impulse, np.zeros(3), data.xipos[self._root], self._root, pushed)
-        # M dv = J^T p: what a force gives that acts for no time.
+        # M dv = J^T p: the change of velocity by an instantaneous impulse.
         mujoco.mj_solveM(model, data, change, pushed[None])
         first = 1 + model.nq
         self.simulation.state[0, first : first + model.nv] += change[0]
 
     @property
     def friction(self) -> float:
-        """Sliding friction of the ground and the feet (dimensionless)."""
+        """Return the sliding friction of the ground and the feet (dimensionless)."""
         return float(self.robot.model.geom_friction[self._rubbing, 0].max())
 
     @friction.setter
     def friction(self, value: float) -> None:
-        """Set that of the ground and of the feet."""
+        """Set the sliding friction of the ground and the feet."""
         # MuJoCo takes the larger of two geoms' frictions.
         self.robot.model.geom_friction[self._rubbing, 0] = value
 
     @property
     def payload(self) -> float:
-        """Mass that the root body carries at its centre of mass, besides its own (kg)."""
+        """Return the mass that the root body carries at its centre of mass, besides its own (kg)."""
         return float(self.robot.model.body_mass[self._root]) - self._mass
 
     @payload.setter
     def payload(self, value: float) -> None:
         """Put a mass on the root body, in place of the one before."""
         self.robot.model.body_mass[self._root] = self._mass + value
-        # What MuJoCo derives from masses; it wants data to work in.
+        # Updates the constants that MuJoCo derives from masses; it needs data to work in.
         mujoco.mj_setConst(self.robot.model, mujoco.MjData(self.robot.model))

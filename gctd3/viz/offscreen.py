@@ -18,7 +18,7 @@ import numpy as np
 from gctd3.errors import RenderError
 
 CHOICE = "MUJOCO_GL"  # the environment variable with which MuJoCo lets its users choose
-# By system, the best first: a GPU's or Mesa's EGL, Mesa's software, the screen's.
+# Backends by system, the best first: EGL of a GPU or of Mesa, Mesa's software renderer, the screen's.
 BACKENDS = {"Linux": ("egl", "osmesa", "glfw"), "Darwin": ("cgl", "glfw"), "Windows": ("glfw",)}
 HOW = (
     "Debian and Ubuntu bring one with `apt install libegl1` (or libosmesa6), Fedora with "
@@ -39,7 +39,7 @@ context.free()
 
 @functools.cache
 def find_backend() -> str:
-    """The backend to draw with: the one that ``MUJOCO_GL`` names, else the first that works.
+    """Find the backend to draw with: the one that ``MUJOCO_GL`` names, else the first that works.
 
     Raises:
         RenderError: If none does; the message says what to install.
@@ -60,15 +60,15 @@ def find_backend() -> str:
 
 
 class Canvas:
-    """What MuJoCo draws a model on, out of sight. A context manager; only for the thread that made it.
+    """Render a model offscreen with MuJoCo. A context manager; only for the thread that made it.
 
     Args:
         model: The model; its offscreen framebuffer is made as large as the picture.
-        width: Of the picture (pixels).
-        height: Of the picture (pixels).
+        width: Width of the picture (pixels).
+        height: Height of the picture (pixels).
 
     Raises:
-        RenderError: If there is nothing to draw with, or the picture is too large for it.
+        RenderError: If no OpenGL backend works, or the picture is too large for it.
     """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
@@ -104,7 +104,7 @@ class Canvas:
         mujoco.mjv_updateScene(self.model, data, self._options, None, camera, everything, self.scene)
 
     def draw(self) -> np.ndarray:
-        """The picture of :attr:`scene`, shape ``[height, width, 3]``, 0 to 255."""
+        """Render the picture of :attr:`scene`, shape ``[height, width, 3]``, 0 to 255."""
         self._gl.make_current()
         pixels = np.empty((self.height, self.width, 3), np.uint8)
         mujoco.mjr_render(self._area, self.scene, self._context)

@@ -1,4 +1,4 @@
-"""How figures look: each small enough for a phone, told apart with every kind of colour vision, on white and black."""
+"""Style of figures: each small enough for a phone, told apart with every kind of colour vision, on white and black."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ STYLE: dict[Any, Any] = {
     "ytick.color": INK,
     "figure.constrained_layout.use": True,
 }
-# Of a legend.
+# Style of a legend.
 _PLAIN: dict[str, Any] = {
     "frameon": False,
     "fontsize": 8,
@@ -45,19 +45,19 @@ _PLAIN: dict[str, Any] = {
 
 
 def colours(groups: Sequence[str]) -> dict[str, str]:
-    """A colour for each group."""
+    """Assign a colour to each group."""
     return {group: COLOURS[i % len(COLOURS)] for i, group in enumerate(groups)}
 
 
 def new(rows: int = 1, columns: int = 1, height: float = HEIGHT, sharex: bool = False) -> tuple[Figure, np.ndarray]:
-    """A figure of the usual width with axes ``[rows, columns]``."""
+    """Create a figure of the usual width with axes ``[rows, columns]``."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
         return figure, figure.subplots(rows, columns, squeeze=False, sharex=sharex)
 
 
 def legend(ax: Axes) -> None:
-    """The legend above the axes, where it hides nothing, in as many columns as there is room for."""
+    """Place the legend above the axes, where it hides nothing, in as many columns as fit, at most 4."""
     labels = ax.get_legend_handles_labels()[1]
     if not labels:
         return
@@ -72,7 +72,7 @@ def legend(ax: Axes) -> None:
 
 
 def legend_of_all(figure: Figure, ax: Axes) -> None:
-    """What lines of ``ax`` mean, above all axes of the figure, for they mean the same there."""
+    """Place the legend of ``ax`` above all axes of the figure, whose lines have the same meaning."""
     shown = figure.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=4, **_PLAIN)
     for line in shown.get_lines():
         line.set_linewidth(1.5)  # thin lines have a colour that is hard to tell

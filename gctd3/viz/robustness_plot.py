@@ -1,4 +1,4 @@
-"""Pictures of what policies stand: success under each condition, shoves survived over the stride."""
+"""Plots of robustness: success under each condition, pushes survived over the stride."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from matplotlib.figure import Figure
 from gctd3.evaluation.robustness import DIRECTIONS
 from gctd3.viz.plot_style import COLOURS, INK, STYLE, colours, legend, new
 
-# By the name of a group, its policies' results.
+# The results of a group's policies, by the group's name.
 Groups = Mapping[str, Sequence[Mapping[str, Any]]]
 
 
 def conditions_figure(groups: Groups) -> Figure:
-    """Share of episodes that reach the finish under each condition, the mean over a group's policies."""
+    """Plot the share of episodes that reach the finish under each condition, the mean over a group's policies."""
     figure, axes = new(height=_height(groups))
     _conditions(axes[0, 0], groups)
     return figure
 
 
 def shoves_figure(groups: Groups) -> Figure | None:
-    """Largest impulse survived at each phase of the stride, the mean over a group's policies; ``None`` if none is."""
+    """Plot the largest impulse survived at each phase of the stride, a group's mean; ``None`` without any."""
     if not any(_largest(results, direction) is not None for results in groups.values() for direction in DIRECTIONS):
         return None
     figure, axes = new()
@@ -35,7 +35,7 @@ def shoves_figure(groups: Groups) -> Figure | None:
 
 
 def save(results: Mapping[str, Any], file: Path) -> None:
-    """Both pictures of one policy, as one file."""
+    """Save both plots of one policy as one PNG file."""
     groups = {"": [results]}
     figure, axes = new(2, 1, height=_height(groups) + 2.9)
     _conditions(axes[0, 0], groups)
@@ -96,7 +96,7 @@ def _shoves(ax: Axes, groups: Groups) -> None:
 
 
 def _largest(results: Sequence[Mapping[str, Any]], direction: str) -> np.ndarray | None:
-    """Mean over those policies that have it, shape ``[phases]``; those with another number of phases are left out."""
+    """Return the mean over the policies with a result, shape ``[phases]``; another number of phases is left out."""
     found = [r["shoves"]["largest"][direction] for r in results if r.get("shoves")]
     rows = [np.array([np.nan if value is None else value for value in row], dtype=float) for row in found]
     rows = [row for row in rows if len(row) == len(rows[0]) and np.isfinite(row).any()]

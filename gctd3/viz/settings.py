@@ -12,10 +12,10 @@ from gctd3.robots.settings import RobotSettings
 
 @dataclass(frozen=True)
 class GraphSettings:
-    """Set what ``gctd3.graph`` draws.
+    """Hold the settings of ``gctd3.graph``.
 
     Attributes:
-        robot: Robot and preset.
+        robot: Robot and graph preset.
         feet: Bodies (or geoms of theirs) that may touch the ground, as [a,b]; ``None`` for the robot's own, or those
             that it stands on.
         out: File of the picture, ``.svg`` or ``.png``; ``None`` to print the table alone.

@@ -14,7 +14,7 @@ _FINER = 3  # times as many pixels while drawing a PNG, so that edges come out s
 
 @dataclass(frozen=True)
 class Polygon:
-    """A filled polygon; a straight line if it has two points and no fill."""
+    """Represent a filled polygon, or a straight line if it has two points and no fill."""
 
     points: tuple[Point, ...]
     fill: str | None
@@ -24,7 +24,7 @@ class Polygon:
 
 @dataclass(frozen=True)
 class Disc:
-    """A filled circle."""
+    """Represent a filled circle."""
 
     centre: Point
     radius: float
@@ -35,7 +35,7 @@ class Disc:
 
 @dataclass(frozen=True)
 class Words:
-    """A line of text; ``at`` is its vertical middle and its left end, or its middle if ``centred``."""
+    """Represent a line of text; ``at`` is its vertical middle and its left end, or its middle if ``centred``."""
 
     at: Point
     text: str
@@ -46,12 +46,12 @@ class Words:
 
 @dataclass(frozen=True)
 class Picture:
-    """What is drawn, the first at the back.
+    """Represent a picture by its shapes, the first at the back.
 
     Attributes:
-        width: In pixels.
-        height: In pixels.
-        things: What is on it.
+        width: Width (pixels).
+        height: Height (pixels).
+        things: Polygons, discs and lines of text.
     """
 
     width: int
@@ -59,20 +59,20 @@ class Picture:
     things: tuple[Polygon | Disc | Words, ...]
 
     def save(self, path: Path) -> None:
-        """Write a ``.svg`` or a ``.png``."""
+        """Write the picture as a ``.svg`` or a ``.png``."""
         if path.suffix == ".svg":
             path.write_text(self.svg(), encoding="utf-8")
         else:
             self.image().save(path)
 
     def svg(self) -> str:
-        """The picture as the text of an SVG file."""
+        """Return the picture as the text of an SVG file."""
         size = f'width="{self.width}" height="{self.height}" viewBox="0 0 {self.width} {self.height}"'
         head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="Helvetica, Arial, sans-serif">'
         return "\n".join([head, '<rect width="100%" height="100%" fill="white"/>', *map(_svg, self.things), "</svg>\n"])
 
     def image(self) -> Image.Image:
-        """The picture as pixels."""
+        """Render the picture as pixels."""
         page = Image.new("RGB", (self.width * _FINER, self.height * _FINER), "white")
         pen = ImageDraw.Draw(page)
         for thing in self.things:
