@@ -29,13 +29,13 @@ MODULES = "GCTD3_MODULES"  # environment variable: packages besides that the con
 
 
 def build(config: DictConfig | Mapping[str, Any], trusted: bool = True) -> Any:  # noqa: ANN401 - the target's
-    """Call the configuration's targets, innermost first.
+    """Build the settings of a configuration: call its targets, innermost first.
 
     Args:
         config: The configuration.
-        trusted: Whether it may have any module imported, as a command line of one's own may. The configuration of a
-            run may be somebody else's: it names what belongs to gctd3, to a package in ``GCTD3_MODULES``, or to a
-            module that is imported already.
+        trusted: Whether it may import any module, as the user's own command line may. The configuration of a run may be
+            somebody else's: it may name only members of gctd3, of a package in ``GCTD3_MODULES``, or of a module
+            that is imported already.
 
     Raises:
         ConfigError: If a key is unknown or missing, or a value has the wrong type or is out of range.
@@ -52,7 +52,7 @@ def build(config: DictConfig | Mapping[str, Any], trusted: bool = True) -> Any: 
 
 
 def _check_modules(value: Any, path: str) -> None:  # noqa: ANN401
-    """Raise a :class:`.ConfigError` at the first target that would import what nobody allowed."""
+    """Raise a :class:`.ConfigError` at the first target that would import a module that is not allowed."""
     if isinstance(value, list):
         for i, item in enumerate(value):
             _check_modules(item, f"{path}[{i}]")
@@ -116,7 +116,7 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
 
 @contextlib.contextmanager
 def _silent(name: str) -> Iterator[None]:
-    """Without what a logger says: it is said here."""
+    """Disable a logger within the context, whose messages are reported here."""
     logger = logging.getLogger(name)
     before, logger.disabled = logger.disabled, True
     try:
@@ -162,7 +162,7 @@ def _finite(value: float) -> bool:
 
 
 def _options(hint: Any) -> list[str]:  # noqa: ANN401
-    """What a setting may be, if it is one of some texts."""
+    """List the texts that a setting may be, if it is one of some."""
     inner = typing.get_args(hint)
     if typing.get_origin(hint) is typing.Literal:
         return [option for option in inner if isinstance(option, str)]

@@ -1,4 +1,4 @@
-"""From a command line to a function: Hydra underneath, and errors that fit on a line."""
+"""Run a function on the configuration of a command line: by Hydra, with errors that fit on a line."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
 
     Args:
         config: Name of the root YAML in ``conf/``.
-        task: Gets the resolved configuration; what it returns is for a sweeper of Hydra's.
+        task: Function of the resolved configuration; its return value goes to Hydra's sweeper.
     """
     check_installed()
     if asks_for_help():
@@ -77,7 +77,7 @@ def _raised_by_the_task(error: Exception) -> bool:
 
 
 def _together(arguments: list[str]) -> list[str]:
-    """``arguments`` with those of the form key=value first: Hydra refuses them on both sides of an option."""
+    """Sort ``arguments``, those of the form key=value first: Hydra refuses them on both sides of an option."""
 
     def assigns(argument: str) -> bool:
         return not argument.startswith("-") and ("=" in argument or argument.startswith("~"))
@@ -86,7 +86,7 @@ def _together(arguments: list[str]) -> list[str]:
 
 
 def _robot_file(argument: str) -> str:
-    """``robot=my.xml`` as Hydra wants it said: the name of the group's default robot replaced by the file."""
+    """Rewrite ``robot=my.xml`` for Hydra: replace the name of the group's default robot by the file."""
     key, _, value = argument.partition("=")
     files = value.split(",")
     if key != "robot" or not all(file.endswith(".xml") for file in files):
@@ -96,16 +96,16 @@ def _robot_file(argument: str) -> str:
 
 
 def _subject(robot: object, task: str) -> str:
-    """The robot that walks, whether it ships with gctd3 or is a file; or the library's task."""
+    """Return the name of the robot that walks, whether it ships with gctd3 or is a file, or the library's task."""
     return Path(str(robot)).stem if task == "walk" else task
 
 
-# What a run is about, in its path; here, so that processes of a sweep know it too.
+# The subject of a run, for its path; registered here, so that processes of a sweep know it too.
 OmegaConf.register_new_resolver("subject", _subject, replace=True)
 
 
 def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[DictConfig], object]:
-    """``task``, with its errors said here: Hydra would announce them with a line of its own."""
+    """Wrap ``task`` to report its errors here: Hydra would announce them with a line of its own."""
 
     @functools.wraps(task)
     def guarded(settings: DictConfig) -> object:
@@ -125,7 +125,7 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
 
 
 def _refuse(error: Exception, config: str) -> NoReturn:
-    """Say what is wrong, and end the process; of a sweep only the run, unless its settings are wrong."""
+    """Report an error and end the process; in a sweep end only the run, unless its settings are wrong."""
     hydra_config = HydraConfig.get()
     directory = Path(hydra_config.runtime.output_dir)
     _remove_empty(directory)
@@ -140,14 +140,14 @@ def _refuse(error: Exception, config: str) -> NoReturn:
 
 
 def _unread() -> NoReturn:
-    """End the program without a word: whoever read its output (``| head``) has had enough."""
+    """End the program silently: the reader of its output (``| head``) has closed it."""
     # Python writes what it still holds when it ends, and would complain.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     raise SystemExit(UNREAD)
 
 
 def _remove_empty(directory: Path) -> None:
-    """Take back the directory that Hydra makes for every run, and those above it here, as far as nothing is in them."""
+    """Remove the directory that Hydra makes for every run, and those above it in the working directory, while empty."""
     while directory != Path.cwd() and directory.is_dir() and not any(directory.iterdir()):
         directory.rmdir()
         directory = directory.parent
@@ -156,7 +156,7 @@ def _remove_empty(directory: Path) -> None:
 
 
 def explain(error: Exception, config: str) -> str:
-    """What an error says, in a line or two; for an unknown key with the nearest known one."""
+    """Describe an error in a line or two; for an unknown key, name the nearest known one."""
     if isinstance(error, GCTD3Error):
         return str(error)
     if isinstance(error, MemoryError):
@@ -185,19 +185,19 @@ def explain(error: Exception, config: str) -> str:
 
 
 def chooses(argument: str) -> str | None:
-    """The group of which an argument chooses an option, if it is about one; other arguments add no keys."""
+    """Return the group of which an argument chooses an option; ``None`` for other arguments, which add no keys."""
     group = re.split("[=@]", argument.lstrip("+~"), maxsplit=1)[0]
     return group if group.isidentifier() and conf().joinpath(group).is_dir() else None
 
 
 def ships(argument: str) -> bool:
-    """Whether the option that an argument chooses of a group comes with gctd3."""
+    """Tell whether the option that an argument chooses of a group ships with gctd3."""
     group, option = chooses(argument), argument.partition("=")[2]
     return group is not None and conf().joinpath(group, f"{option}.yaml").is_file()
 
 
 def _elsewhere(arguments: list[str]) -> list[str]:
-    """Tell Hydra where else options are, if a command line says so."""
+    """Return the override with Hydra's further search paths, if a command line gives them."""
     said = [argument for argument in arguments if argument.startswith("hydra.searchpath=")]
     for argument, following in itertools.zip_longest(arguments, arguments[1:], fillvalue=""):
         option, _, folder = argument.partition("=")
@@ -208,7 +208,7 @@ def _elsewhere(arguments: list[str]) -> list[str]:
 
 
 def _known_keys(config: str, arguments: list[str]) -> list[str]:
-    """Every key of the configuration, under those of the arguments that choose an option and are sound."""
+    """List every key of the configuration, given those of the arguments that choose an option and are valid."""
     GlobalHydra.instance().clear()
     sound = _elsewhere(arguments)
     with initialize_config_module(CONF, version_base="1.3"):

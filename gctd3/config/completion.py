@@ -31,20 +31,20 @@ _HYDRAS = "hydra"  # Hydra's own part of a configuration
 
 
 def install() -> None:
-    """Have every configuration that Hydra composes completed; once, however often it is called."""
+    """Install the completion of every configuration that Hydra composes; further calls change nothing."""
     complete_compositions(complete)
 
 
 def complete(config: DictConfig | ListConfig, ours: bool = False, path: str = "") -> None:
-    """Add the keys that ``config`` lacks, in place.
+    """Add the keys that ``config`` lacks with their defaults, in place.
 
-    Settings of gctd3's are completed, and what stands below them, whose ever it is; a project that takes some YAMLs
-    of gctd3's finds the rest of its configuration as it was.
+    Settings of gctd3 are completed, and all settings below them, whoever defines them; the rest of the configuration
+    of a project that uses some of gctd3's YAMLs stays as it was.
 
     Args:
-        config: What the YAMLs say.
-        ours: Whether it stands below settings of gctd3's.
-        path: Where it stands, for messages.
+        config: The configuration that the YAMLs give.
+        ours: Whether it stands below settings of gctd3.
+        path: Its place in the configuration, for messages.
 
     Raises:
         ConfigError: If a ``_target_`` cannot be imported.
@@ -84,12 +84,12 @@ def _add(config: DictConfig, defaults: dict[str, Any]) -> None:
 
 
 def _says(config: DictConfig, key: str) -> bool:
-    """Tell whether a YAML gives the key, with or without a value; ``in`` would resolve it, and want one."""
+    """Tell whether a YAML gives the key, with or without a value; ``in`` would resolve it, and need one."""
     return key in set(config.keys())
 
 
 def _inner(config: DictConfig | ListConfig, key: Any) -> Any:  # noqa: ANN401 - anything
-    """Get what stands there, if that can be told without resolving anything."""
+    """Get the value of a key; ``None`` if it is missing or would have to be resolved."""
     if OmegaConf.is_missing(config, key) or OmegaConf.is_interpolation(config, key):
         return None
     return config[key]

@@ -44,7 +44,7 @@ class Setting:
 
 
 def find(target: str) -> Any:  # noqa: ANN401 - whatever has that name
-    """Import what a ``_target_`` names.
+    """Import the object that a ``_target_`` names.
 
     Raises:
         ImportError: If it cannot be imported.
@@ -68,7 +68,7 @@ def settings_of(cls: type) -> list[Setting]:
 
 
 def defaults_of(cls: type) -> dict[str, Any]:
-    """Give the default of every field of a dataclass, as YAML has it."""
+    """Return the default of every field of a dataclass, as YAML has it."""
     found = {}
     for field in dataclasses.fields(cls):
         if field.default is not dataclasses.MISSING:
@@ -81,7 +81,7 @@ def defaults_of(cls: type) -> dict[str, Any]:
 
 
 def in_yaml(value: Any) -> Any:  # noqa: ANN401
-    """Write a value as YAML has it: a list for a tuple, a mapping with its ``_target_`` for settings."""
+    """Convert a value to YAML's form: a list for a tuple, a mapping with its ``_target_`` for settings."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {f.name: in_yaml(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
         return {TARGET: name_of(type(value)), **fields}
@@ -93,14 +93,14 @@ def in_yaml(value: Any) -> Any:  # noqa: ANN401
 
 
 def name_of(cls: type) -> str:
-    """Name a class as a ``_target_`` does: by its alias at the front door, if it has one."""
+    """Return the ``_target_`` of a class: its alias in ``gctd3``, if it has one, else its path."""
     if getattr(gctd3, cls.__name__, None) is cls:
         return f"{gctd3.__name__}.{cls.__name__}"
     return f"{cls.__module__}.{cls.__qualname__}"
 
 
 def meanings(cls: type) -> dict[str, str]:
-    """Read what the fields of a class mean from the ``Attributes:`` of its docstring and its bases'."""
+    """Read the meanings of a class's fields from the ``Attributes:`` of its docstring and its bases'."""
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         section = inspect.cleandoc(vars(base).get("__doc__") or "").partition("\nAttributes:\n")[2]
@@ -118,18 +118,18 @@ def meanings(cls: type) -> dict[str, str]:
 
 
 def in_plain_text(meaning: str) -> str:
-    """Write what a docstring says for a terminal, in the words of YAML."""
+    """Format a meaning from a docstring for a terminal, with YAML's constants."""
     return _CODE.sub(lambda match: _OF_YAML.get(match["text"], match["text"]), _ROLE.sub(r"\g<name>", meaning))
 
 
 def in_markdown(meaning: str) -> str:
-    """Write what a docstring says for a page, in the words of YAML."""
+    """Format a meaning from a docstring for a Markdown page, with YAML's constants."""
     marked = _CODE.sub(lambda match: f"`{_OF_YAML.get(match['text'], match['text'])}`", meaning)
     return _ROLE.sub(r"`\g<name>`", marked).replace("|", "\\|")
 
 
 def describe(hint: Any) -> str:  # noqa: ANN401
-    """Say in words what a value of a type is."""
+    """Describe the values of a type in words."""
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
         return " or ".join(describe(option) for option in inner)

@@ -1,4 +1,4 @@
-"""What the commands are, and what ``--help`` says of each: read from settings and conf/, so that it is true. Light."""
+"""The commands and the ``--help`` of each, read from settings and conf/, so that it is true. Light."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ GROUPED = 10_000  # from where on digits of a number are grouped
 
 @dataclass(frozen=True)
 class Key:
-    """Something that a command line may say.
+    """Describe a key or a group that a command line may set.
 
     Attributes:
-        name: Dotted.
-        value: That it has if nothing is said; ``...`` if something must be.
-        said: What it means.
+        name: The key, dotted.
+        value: Its default; ``...`` if it must be given.
+        said: Its meaning.
     """
 
     name: str
@@ -50,7 +50,7 @@ def fail(message: str) -> NoReturn:
 
 
 def check_installed() -> None:
-    """End the program if its YAMLs are not where Python finds them."""
+    """End the program if Python cannot find its YAMLs."""
     if find_spec(CONF) is None:
         fail(
             "gctd3 was imported from a source tree in which it is not installed: "
@@ -59,17 +59,17 @@ def check_installed() -> None:
 
 
 def asks_for_help() -> bool:
-    """Whether the command line does."""
+    """Tell whether the command line asks for help."""
     return any(argument in HELP for argument in sys.argv[1:])
 
 
 def command_of(root: str) -> str:
-    """The command whose YAML is called ``root``."""
+    """Return the command whose YAML is called ``root``."""
     return next((command for command, name in _ROOTS.items() if name == root), root)
 
 
 def root_of(command: str) -> str:
-    """Name the YAML of a command."""
+    """Return the name of a command's YAML."""
     return _ROOTS.get(command, command)
 
 
@@ -81,13 +81,13 @@ def conf() -> Path:
 
 
 def summary(command: str) -> str:
-    """What a command does, in a line: the first one of its YAML."""
+    """Summarise a command in a line: the first one of its YAML."""
     first = _text(command).splitlines()[0]
     return first.partition(": ")[2].rstrip(".")
 
 
 def overview() -> str:
-    """What there is, for who has just installed it."""
+    """Describe all commands, for a new user."""
     import gctd3
 
     rows = [f"  python -m gctd3.{command:10} {summary(command)}" for command in COMMANDS]
@@ -104,7 +104,7 @@ def overview() -> str:
 
 
 def help_of(command: str) -> str:
-    """Say what a command does, with examples, the keys of its settings with default and meaning, and its choices."""
+    """Describe a command, with examples, the keys of its settings with default and meaning, and its choices."""
     text = _text(command)
     about = yaml.safe_load(text)["hydra"]["help"]["template"].rstrip()
     lines = [about, "", "Keys (key=default):", *_table(keys(command))]
@@ -117,13 +117,13 @@ def help_of(command: str) -> str:
 
 
 def keys(command: str) -> Iterator[Key]:
-    """List the keys of a command's settings, but those that its groups bring."""
+    """List the keys of a command's settings, except those of its groups."""
     plain = yaml.safe_load(_text(command))
     return _keys(plain, {choice.name.rpartition("@")[2] for choice in choices(command)}, "")
 
 
 def _keys(said: Mapping[str, Any], taken: Collection[str], prefix: str) -> Iterator[Key]:
-    """List the keys of settings, of which a YAML says ``said``, but those that are ``taken``."""
+    """List the keys of settings that a YAML gives as ``said``, except those in ``taken``."""
     inner = []
     for setting in settings_of(find(said[TARGET])):
         name, value = f"{prefix}{setting.name}", said.get(setting.name, setting.default)
@@ -135,7 +135,7 @@ def _keys(said: Mapping[str, Any], taken: Collection[str], prefix: str) -> Itera
 
 
 def written(value: object) -> str:
-    """Write a value as a command line has it; ``...`` if there is none."""
+    """Format a value for a command line; ``...`` for a required one."""
     if value == REQUIRED:
         return "..."
     if isinstance(value, list):
@@ -150,7 +150,7 @@ def written(value: object) -> str:
 
 
 def choices(command: str) -> Iterator[Key]:
-    """The groups of a command's YAML."""
+    """List the groups of a command's YAML, with their default and options."""
     for line in _text(command).splitlines():
         match = _CHOICE.match(line)
         if match is None:

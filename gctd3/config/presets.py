@@ -45,8 +45,8 @@ class Preset:
         everywhere: Whether its keys stand at the root of the configuration, not below the group.
         base: The option of the group that it begins with, if any.
         chosen: Options of other groups that it chooses, by their group.
-        changes: The keys that it sets, but Hydra's.
-        sweep: What a sweep with it goes through, by key.
+        changes: The keys that it sets, except Hydra's.
+        sweep: Values of a sweep with it, by key.
     """
 
     group: str
@@ -61,18 +61,18 @@ class Preset:
 
 
 def groups() -> list[str]:
-    """List the groups, those inside of groups too."""
+    """List the groups, nested groups too."""
     return sorted({file.parent.relative_to(conf()).as_posix() for file in conf().rglob("*/*.yaml")})
 
 
 def presets(group: str) -> list[Preset]:
-    """Read the options of a group, those first that others begin with."""
+    """Read the options of a group, those that build on no other first."""
     found = [read(file) for file in sorted((conf() / group).glob("*.yaml"))]
     return sorted(found, key=lambda preset: (preset.base is not None, preset.name))
 
 
 def read(file: Path) -> Preset:
-    """Read a YAML."""
+    """Read an option from its YAML."""
     text = file.read_text(encoding="utf-8")
     plain = yaml.safe_load(text)
     base, chosen = None, {}

@@ -28,7 +28,7 @@ class Row:
 
     Attributes:
         name: The key, dotted.
-        setting: The field that it is.
+        setting: The field that the key sets.
     """
 
     name: str
@@ -36,12 +36,12 @@ class Row:
 
 
 def reference() -> str:
-    """Write the whole page."""
+    """Write the whole reference page."""
     return "\n".join([HEAD, *_commands(), *_groups()]).rstrip() + "\n"
 
 
 def rows(cls: type, taken: Collection[str] = (), prefix: str = "") -> Iterator[Row]:
-    """List the keys of settings, those of settings inside of them last, without those that are ``taken``."""
+    """List the keys of a settings class, those of nested settings last, except those in ``taken``."""
     inner = []
     for setting in settings_of(cls):
         name = f"{prefix}{setting.name}"
@@ -92,7 +92,7 @@ def _groups() -> Iterator[str]:
 
 
 def _settings(preset: Preset, options: list[Preset]) -> type | None:
-    """Find the dataclass of an option, which may be that of the option which it begins with."""
+    """Find the dataclass of an option, or that of the option on which it builds."""
     if preset.target is not None:
         found = find(preset.target) if preset.target.startswith("gctd3.") else None
         return found if is_settings(found) else None
@@ -101,7 +101,7 @@ def _settings(preset: Preset, options: list[Preset]) -> type | None:
 
 
 def _told(preset: Preset, options: list[Preset]) -> str:
-    """Say what an option is, what it builds on, and what it changes."""
+    """Describe an option, the option on which it builds, and its changes."""
     parts = [preset.about]
     if preset.base is not None:
         parts.append(f"Begins with `{preset.base}`.")

@@ -1,4 +1,4 @@
-"""What the walking task asks of actuators: position servos, one to a joint."""
+"""The walking task's requirements on actuators: position servos, one to a joint."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def check_servos(model: mujoco.MjModel, joints: Sequence[Joint], file: Path) -> 
     Args:
         model: The model.
         joints: The robot's joints.
-        file: What to call the MJCF.
+        file: Path of the MJCF, for messages.
 
     Raises:
         RobotError: If one is not, or there is none; the message names it.

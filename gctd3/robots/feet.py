@@ -1,4 +1,4 @@
-"""Which bodies are feet: those named, or else those that stand on the ground."""
+"""The feet of a robot: the bodies named, or else those that stand on the ground."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TOUCHING = 0.05  # of the robot's height: how far above the lowest foot another
 
 
 def named_feet(model: mujoco.MjModel, root: int, names: str | Sequence[str], file: Path) -> list[str]:
-    """The bodies of that name, or that carry the geom of that name; one name may stand alone.
+    """Find the bodies with the given names, or with geoms of these names; ``names`` may be a single one.
 
     Raises:
         RobotError: If there is neither such a body nor such a geom, or none is named.
@@ -35,7 +35,7 @@ def named_feet(model: mujoco.MjModel, root: int, names: str | Sequence[str], fil
 
 
 def find_feet(model: mujoco.MjModel, root: int, file: Path) -> list[str]:
-    """The feet of a robot that names none.
+    """Find the feet of a robot for which none are named.
 
     The robot is lowered onto the ground in its standing pose (:func:`.standing_pose`) until the first body at the end
     of a chain touches; that one and every other whose lowest point is then within 5 % of the robot's height of the

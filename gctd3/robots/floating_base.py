@@ -1,4 +1,4 @@
-"""How a robot's root body moves about the world: on a boom, in a plane, or freely, whatever joints it has for that.
+"""The degrees of freedom of a robot's root body: on a boom, in a plane, or free, whatever joints give them.
 
 Frame: forward as the caller says, up, and side to the left of both. Angles: roll about forward, pitch about side (nose
 down is positive), yaw about up (to the left is positive).
@@ -33,12 +33,12 @@ EXTRA = {"pitch": 1.0, "roll": -1.0, "yaw": -1.0, "side": -1.0}
 
 @dataclass(frozen=True)
 class Coordinate:
-    """A coordinate of the base that one slide or hinge holds.
+    """Locate a coordinate of the base in ``qpos`` and ``qvel``.
 
     Attributes:
         qpos: Index in ``qpos``.
         qvel: Index in ``qvel``.
-        sign: Of both.
+        sign: Sign of both along the axis of :attr:`Base.frame`.
     """
 
     qpos: int
@@ -48,12 +48,12 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Base:
-    """The root body's freedom to move.
+    """Represent the base: the degrees of freedom of the root body.
 
     Attributes:
         model: The model.
         root: Index of the root body.
-        axis: Where forward is, of the world's axes.
+        axis: Forward direction among the world's axes.
     """
 
     model: mujoco.MjModel
@@ -62,13 +62,13 @@ class Base:
 
     @property
     def frame(self) -> np.ndarray:
-        """Rows forward, side and up, in the world's axes. Shape ``[3, 3]``."""
+        """Return the rows forward, side and up of the base's frame, in the world's axes. Shape ``[3, 3]``."""
         forward = AXES[self.axis]
         return np.stack([forward, np.cross(UP, forward), UP])
 
     @cached_property
     def free(self) -> Coordinate | None:
-        """Where the free joint's first numbers are, if the base has one."""
+        """Locate the first position and velocity of the free joint; ``None`` if the base has none."""
         for joint in base_joints(self.model, self.root):
             if joint_kind(self.model, joint) == "free":
                 return Coordinate(int(self.model.jnt_qposadr[joint]), int(self.model.jnt_dofadr[joint]), 1.0)
@@ -76,14 +76,14 @@ class Base:
 
     @property
     def height(self) -> Coordinate | None:
-        """Where the coordinate along z is, if the base has one."""
+        """Locate the coordinate along z; ``None`` if the base has none."""
         if self.free is not None:
             return Coordinate(self.free.qpos + 2, self.free.qvel + 2, 1.0)
         return self.single.get("height")
 
     @cached_property
     def single(self) -> dict[str, Coordinate]:
-        """Coordinates of slides and hinges along an axis of :attr:`frame`, by name."""
+        """Return the coordinates of slides and hinges along an axis of :attr:`frame`, by name."""
         found = {}
         for joint in base_joints(self.model, self.root):
             kind = joint_kind(self.model, joint)
@@ -103,7 +103,7 @@ class Base:
 
     @property
     def kind(self) -> str:
-        """``fixed``, ``boom`` (forward and up), ``planar`` (and pitch), ``free``, or ``other``."""
+        """Return the kind: ``fixed``, ``boom`` (forward and up), ``planar`` (and pitch), ``free``, or ``other``."""
         if self.free is not None:
             return "free"
         known = {frozenset(): "fixed", frozenset(("forward", "height")): "boom"}
@@ -112,17 +112,17 @@ class Base:
 
     @property
     def unread(self) -> tuple[int, ...]:
-        """Indices of the joints that no coordinate holds: balls, axes that are none of :attr:`frame`, repeated ones."""
+        """Return the indices of the joints without a coordinate: balls, axes not in :attr:`frame`, repeated ones."""
         if self.free is not None:
             return ()
         held = {coordinate.qpos for coordinate in self.single.values()}
         return tuple(j for j in base_joints(self.model, self.root) if int(self.model.jnt_qposadr[j]) not in held)
 
     def check_read(self, file: Path) -> None:
-        """Check that the coordinates say all of how the root body moves.
+        """Check that the coordinates describe every joint of the root body.
 
         Args:
-            file: What to call the MJCF.
+            file: Path of the MJCF, for messages.
 
         Raises:
             RobotError: If a joint is :attr:`unread`; the message names it.
@@ -138,18 +138,18 @@ class Base:
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of what can change."""
+        """Return the names of the coordinates that can change."""
         return (*SLIDES, *TURNS) if self.free is not None else tuple(self.single)
 
     @property
     def extra(self) -> tuple[str, ...]:
-        """Those of them that get a node of their own, since the root's holds height and forward velocity only."""
+        """Return the coordinates with a node of their own, as the root's holds height and forward velocity only."""
         return tuple(name for name in EXTRA if name in self.coordinates)
 
     def read(self, qpos: np.ndarray, qvel: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Every coordinate (m or rad, from the world's origin) and its rate (m/s or rad/s), each of shape ``[*]``.
+        """Read every coordinate (m or rad, from the world's origin) and its rate (m/s or rad/s), each of shape ``[*]``.
 
-        A free base's angles are from the standing pose, and its angular rates those that a gyroscope on it measures.
+        A free base's angles are relative to the standing pose; its angular rates are those of a gyroscope on it.
 
         Args:
             qpos: Generalised positions, shape ``[*, nq]``.
@@ -176,13 +176,13 @@ class Base:
 
 
 def find_forward(model: mujoco.MjModel, root: int, joints: list[Joint], reflected: dict[str, int]) -> Axis:
-    """Forward, where nobody says: along the base's only horizontal slide; else the axis about which sides are equal.
+    """Find the default forward axis: the base's only horizontal slide, else the axis for which the sides are equal.
 
     Args:
         model: The model.
         root: Index of the root body.
-        joints: The robot's joints; of no use to a base on slides.
-        reflected: For forward ``x`` and ``y``, how many joints have a mirror image; ``x`` if they are equal.
+        joints: The robot's joints; unused if the base has one horizontal slide.
+        reflected: Number of joints with a mirror image for forward ``x`` and ``y``; equal numbers give ``x``.
     """
     slides = [axis for axis in ("x", "y") if "forward" in Base(model, root, axis).single]
     if len(slides) == 1:
@@ -195,7 +195,7 @@ def _signed(values: np.ndarray, sign: float) -> np.ndarray:
 
 
 def _matrix(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrices of unit quaternions ``[*, 4]`` (w first), shape ``[*, 3, 3]``."""
+    """Compute the rotation matrices of unit quaternions ``[*, 4]`` (w first), shape ``[*, 3, 3]``."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -16,9 +16,9 @@ _CORNERS = np.array(np.meshgrid((-1, 1), (-1, 1), (-1, 1))).reshape(3, -1).T.ast
 
 
 def geom_points(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
-    """Points in the world's frame whose convex hull is the geom's (a mesh by its convex hull), shape ``[K, 3]`` (m).
+    """Return world-frame points whose convex hull is the geom's (a mesh by its convex hull), shape ``[K, 3]`` (m).
 
-    ``data`` must hold the geom's pose (``mj_kinematics``). Planes and height fields have none.
+    ``data`` must hold the geom's pose (``mj_kinematics``). Planes and height fields have no points.
     """
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
     centre, turn = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
@@ -49,13 +49,13 @@ def geom_points(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.nda
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: list[int]) -> float:
-    """Height of the lowest point of some geoms (m); infinite if they have none."""
+    """Compute the height of the lowest point of some geoms (m); infinite if they have no points."""
     heights = [points[:, 2].min() for geom in geoms if len(points := geom_points(model, data, geom))]
     return float(min(heights, default=np.inf))
 
 
 def convex_hull(points: np.ndarray) -> np.ndarray:
-    """The corners of the convex hull of points ``[K, 2]``, anticlockwise, shape ``[H, 2]`` (Andrew 1979)."""
+    """Compute the corners of the convex hull of points ``[K, 2]``, anticlockwise, shape ``[H, 2]`` (Andrew 1979)."""
     ordered = np.unique(np.round(points, 9), axis=0)
     if len(ordered) < 3:
         return ordered

@@ -33,19 +33,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class KinematicGraph:
-    """Named nodes and the adjacency between them.
+    """Represent a robot as a graph of named nodes and the adjacency between them.
 
     Build it with :meth:`from_mjcf` or :meth:`from_robot`; the constructor takes any named graph.
 
     Attributes:
-        nodes: Names; a robot's are its root body, what else its base can do, its joints by depth (equal depths in the
-            MJCF's order), the ground; see :mod:`gctd3.robots.nodes`.
-        adjacency: ``A``, shape ``[N, N]``, zeros and ones, no self-loops. ``A[i, j] = 1`` if node ``i`` takes in
+        nodes: Names; for a robot: root body, other coordinates of its base, joints by depth (equal depths in the
+            MJCF's order), ground; see :mod:`gctd3.robots.nodes`.
+        adjacency: ``A``, shape ``[N, N]``, zeros and ones, no self-loops. ``A[i, j] = 1`` if node ``i`` aggregates
             node ``j``; symmetric for an undirected graph.
         mirror: For each node the index of the node on the other side of the robot (its own if it has none).
-        kinds: Of each node: ``root``, ``base``, ``hinge``, ``slide``, ``ball`` or ``ground``; empty if not a robot's.
-        parents: Of each node, names of those above it in the kinematic tree; empty if not a robot's.
-        actuated: For each action the index of the node that it moves; empty if nothing is known of actions.
+        kinds: For each node ``root``, ``base``, ``hinge``, ``slide``, ``ball`` or ``ground``; empty if not a robot's.
+        parents: For each node, names of those above it in the kinematic tree; empty if not a robot's.
+        actuated: For each action the index of the node that it moves; empty if the actions are unknown.
 
     Example:
         >>> graph = KinematicGraph.from_mjcf("biped")
@@ -84,14 +84,14 @@ class KinematicGraph:
         feet: Sequence[str] | None = None,
         forward: Axis | None = None,
     ) -> KinematicGraph:
-        """The graph of any robot: an MJCF file, a model in memory, or one that ships with the library (``"biped"``).
+        """Build the graph of any robot: an MJCF file, a model in memory, or one shipped with the library (``"biped"``).
 
         Args:
             source: The robot; its joints may be of any kind and driven by anything.
             preset: See :meth:`from_robot`.
             seed: See :meth:`from_robot`.
             feet: Names of the bodies (or of their geoms) that may touch the ground; see :func:`.find_feet` if ``None``.
-            forward: Where forward is: ``x``, ``-x``, ``y`` or ``-y``; see :func:`.find_forward` if ``None``.
+            forward: Forward direction: ``x``, ``-x``, ``y`` or ``-y``; see :func:`.find_forward` if ``None``.
 
         Raises:
             RobotError: If the source is not a robot, or the preset is unknown.
@@ -100,15 +100,15 @@ class KinematicGraph:
 
     @classmethod
     def from_robot(cls, robot: Robot, preset: str = "tree", seed: int = 0) -> KinematicGraph:
-        """The graph of a robot.
+        """Build the graph of a robot.
 
         Args:
             robot: The robot.
             preset: ``tree``: root to joints along the kinematic tree, every foot's last joint to the ground, undirected
-                (the paper's Figure 2). ``authors``: the released script's: each joint takes in its parent, the hips
+                (the paper's Figure 2). ``authors``: the released script's: each joint aggregates its parent, the hips
                 one another, the ground nothing. ``edgeless``: no edge. ``complete``: every pair. ``random``: as many
                 undirected edges as ``tree``, drawn with ``seed``.
-            seed: For ``random``.
+            seed: Seed of ``random``.
 
         Raises:
             RobotError: If the preset is unknown.
@@ -128,12 +128,12 @@ class KinematicGraph:
         directed: bool = False,
         actuated: Sequence[str] = (),
     ) -> KinematicGraph:
-        """A graph from its edges: ``(i, j)`` sets ``A[i, j]``, and ``A[j, i]`` too unless ``directed``.
+        """Build a graph from its edges: ``(i, j)`` sets ``A[i, j]``, and ``A[j, i]`` too unless ``directed``.
 
         Args:
             nodes: Names.
             edges: Pairs of names.
-            directed: Whether ``(i, j)`` lets only ``i`` take in ``j``.
+            directed: Whether ``(i, j)`` lets only ``i`` aggregate ``j``.
             actuated: For each action the name of the node that it moves.
 
         Raises:
@@ -145,38 +145,40 @@ class KinematicGraph:
         order = tuple(nodes.index(name) for name in actuated)
         return cls(tuple(nodes), adjacency_of(nodes, edges, directed), actuated=order)
 
-    # What it is made of.
+    # Nodes and edges.
 
     @property
     def num_nodes(self) -> int:
-        """``N``."""
+        """Return the number of nodes ``N``."""
         return len(self.nodes)
 
     @property
     def directed(self) -> bool:
-        """Whether some edge has no counterpart."""
+        """Tell whether some edge has no counterpart."""
         return not np.array_equal(self.adjacency, self.adjacency.T)
 
     @property
     def edges(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of names; of an undirected graph each edge once."""
+        """Return the edges as pairs of names; of an undirected graph each edge once."""
         pairs = np.argwhere(self.adjacency if self.directed else np.triu(self.adjacency))
         return tuple((self.nodes[i], self.nodes[j]) for i, j in pairs)
 
-    # What networks multiply by.
+    # Matrices by which networks multiply.
 
     @cached_property
     def normalized_adjacency(self) -> np.ndarray:
-        r""":math:`\hat D^{-1/2} \hat A \hat D^{-1/2}` with :math:`\hat A = A + I` (equation 7). Shape ``[N, N]``."""
+        r"""Return :math:`\hat D^{-1/2} \hat A \hat D^{-1/2}`, :math:`\hat A = A + I` (equation 7). Shape ``[N, N]``."""
         return _symmetric_normalize(self.adjacency + np.eye(self.num_nodes))
 
     @cached_property
     def laplacian(self) -> np.ndarray:
-        r""":math:`\Delta = I - D^{-1/2} A D^{-1/2}` (section 2.1). Shape ``[N, N]``; isolated nodes keep the 1."""
+        r"""Return :math:`\Delta = I - D^{-1/2} A D^{-1/2}` (section 2.1). Shape ``[N, N]``; isolated nodes keep 1."""
         return np.eye(self.num_nodes) - _symmetric_normalize(self.adjacency)
 
     def scaled_laplacian(self, largest_eigenvalue: float | None = None) -> np.ndarray:
-        r""":math:`\tilde\Delta = (2 / \lambda_{max}) \Delta - I`, eigenvalues in [-1, 1] (below equation 4).
+        r"""Scale the Laplacian to eigenvalues in [-1, 1] (below equation 4).
+
+        :math:`\tilde\Delta = (2 / \lambda_{max}) \Delta - I`.
 
         Args:
             largest_eigenvalue: :math:`\lambda_{max}`; computed if ``None``. The paper's derivation sets it to 2.
@@ -187,7 +189,9 @@ class KinematicGraph:
         return 2.0 / largest * self.laplacian - np.eye(self.num_nodes)
 
     def chebyshev(self, order: int, largest_eigenvalue: float | None = None) -> np.ndarray:
-        r""":math:`T_0(\tilde\Delta), \dots, T_K(\tilde\Delta)` (equation 4). Shape ``[K + 1, N, N]``.
+        r"""Compute the Chebyshev polynomials of the scaled Laplacian (equation 4). Shape ``[K + 1, N, N]``.
+
+        :math:`T_0(\tilde\Delta), \dots, T_K(\tilde\Delta)` with the order :math:`K`.
 
         Raises:
             ValueError: If ``order`` is negative.
@@ -203,7 +207,7 @@ class KinematicGraph:
     # For other libraries and for people.
 
     def edge_index(self) -> Tensor:
-        """Edges as torch_geometric takes them: sources over targets, an undirected edge both ways. ``int64 [2, E]``.
+        """Return the edges for torch_geometric: sources over targets, an undirected edge both ways. ``int64 [2, E]``.
 
         Example:
             >>> KinematicGraph.from_edges(["a", "b"], [("a", "b")]).edge_index().tolist()
@@ -215,7 +219,7 @@ class KinematicGraph:
         return torch.from_numpy(np.ascontiguousarray(np.argwhere(self.adjacency).T[::-1], dtype=np.int64))
 
     def to_networkx(self) -> Any:  # noqa: ANN401 - networkx is optional
-        """A ``networkx.Graph`` (a ``DiGraph`` from source to target if directed) with the nodes' kinds and mirrors.
+        """Convert to a ``networkx.Graph`` (``DiGraph``, source to target, if directed) with nodes' kinds and mirrors.
 
         Raises:
             ImportError: If networkx is not installed.
@@ -249,7 +253,7 @@ class KinematicGraph:
 
 
 def _symmetric_normalize(matrix: np.ndarray) -> np.ndarray:
-    """``D^-1/2 M D^-1/2`` with ``D`` the row sums of ``M``; rows that sum to zero stay zero."""
+    """Compute ``D^-1/2 M D^-1/2`` with ``D`` the row sums of ``M``; rows that sum to zero stay zero."""
     degree = matrix.sum(axis=1)
     scale = np.where(degree > 0, 1.0 / np.sqrt(np.maximum(degree, 1e-12)), 0.0)
     return scale[:, None] * matrix * scale[None, :]

@@ -1,4 +1,4 @@
-"""Which joint is which on the other side: reflection in the sagittal plane, read from names, else from geometry.
+"""Mirror images of joints: reflection in the sagittal plane, read from names, else from geometry.
 
 The sagittal plane holds the vertical and the forward axis. A hinge's axis is a pseudo-vector: its component across the
 plane survives the reflection, the other two turn round. A slide's axis is a vector: only the one across turns round.
@@ -19,7 +19,7 @@ _NEAR = 0.02  # of the robot's extent: how far a reflected joint may lie from it
 
 
 def swap_side(name: str, known: Collection[str]) -> str:
-    """``name`` with its side exchanged, or dropped or added, if that is one of ``known``; else ``name``.
+    """Return ``name`` with its side exchanged, dropped or added, if that is one of ``known``; else ``name``.
 
     ``hip_right`` and ``hip_left`` are a pair, and so are ``thigh`` and ``thigh_left``, ``rfemur`` and ``lfemur``.
     """
@@ -39,14 +39,14 @@ def swap_side(name: str, known: Collection[str]) -> str:
 
 
 def without_side(name: str) -> str:
-    """``name`` without the word ``right`` or ``left``."""
+    """Return ``name`` without the word ``right`` or ``left``."""
     return re.sub(r"(?i)_(right|left)(?![a-z])|(?<![a-z])(right|left)_", "", name)
 
 
 def pair_joints(
     model: mujoco.MjModel, joints: Sequence[Joint], last: Collection[str], lateral: np.ndarray
 ) -> dict[str, str]:
-    """Every joint's mirror image; its own if it has none. An involution that carries the kinematic tree onto itself.
+    """Pair each joint with its mirror image, else itself: an involution that maps the kinematic tree onto itself.
 
     Args:
         model: The model.
@@ -67,12 +67,12 @@ def pair_joints(
 
 
 def count_reflected(model: mujoco.MjModel, joints: Sequence[Joint], lateral: np.ndarray) -> int:
-    """How many joints lie in the plane across ``lateral`` or have a reflected partner: how symmetric a robot is."""
+    """Count the joints in the plane across ``lateral`` or with a reflected partner, a measure of symmetry."""
     return len(_pairs_by_place(model, joints, lateral))
 
 
 def reflected_sign(model: mujoco.MjModel, here: Joint, there: Joint, lateral: np.ndarray) -> float:
-    """+1 if equal angles of the two joints mirror each other, -1 if opposite ones do."""
+    """Return +1 if equal angles of the two joints mirror each other, -1 if opposite ones do."""
     _, axes = _places(model, model.qpos0)
     return 1.0 if float(_reflect_axis(axes[here.id], here, lateral) @ axes[there.id]) > 0.0 else -1.0
 
@@ -80,9 +80,9 @@ def reflected_sign(model: mujoco.MjModel, here: Joint, there: Joint, lateral: np
 def unreflected(
     model: mujoco.MjModel, joints: Sequence[Joint], pairs: Mapping[str, str], lateral: np.ndarray
 ) -> list[str]:
-    """Names of the joints whose reflection is not their mirror image: it lies elsewhere, or turns about another axis.
+    """Find the joints whose reflection differs from their mirror image in place or axis; return their names.
 
-    The plane is in the middle of the pairs, or of all joints if there are none.
+    The plane passes through the mean place of the paired joints, or of all joints if none are paired.
 
     Args:
         model: The model.
@@ -123,7 +123,7 @@ def _pairs_by_place(model: mujoco.MjModel, joints: Sequence[Joint], lateral: np.
 
 
 def _places(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Anchors (m) and axes of all joints in a pose, each ``[njnt, 3]``."""
+    """Return anchors (m) and axes of all joints in a pose, each ``[njnt, 3]``."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
@@ -131,7 +131,7 @@ def _places(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _near(places: np.ndarray, joints: Sequence[Joint]) -> float:
-    """How far a reflected joint may lie from its image (m): a part of the robot's extent, not of the scene's."""
+    """Return how far a reflected joint may lie from its image (m): a part of the robot's extent, not the scene's."""
     return _NEAR * max(float(np.ptp(places[[joint.id for joint in joints]], axis=0).max()), 1e-6)
 
 
@@ -140,7 +140,7 @@ def _reflect_place(place: np.ndarray, centre: np.ndarray, lateral: np.ndarray) -
 
 
 def _along(axis: np.ndarray, other: np.ndarray, joint: Joint) -> bool:
-    """Whether two axes are one line; a ball has none."""
+    """Tell whether two axes are parallel; true for a ball, which has no axis."""
     return joint.kind == "ball" or abs(float(axis @ other)) > 0.99
 
 
@@ -150,7 +150,7 @@ def _reflect_axis(axis: np.ndarray, joint: Joint, lateral: np.ndarray) -> np.nda
 
 
 def _consistent(joints: Mapping[str, Joint], pairs: dict[str, str], last: Collection[str]) -> dict[str, str]:
-    """``pairs`` without those that would not carry the tree onto itself; each round removes at least one."""
+    """Remove the ``pairs`` that do not map the tree onto itself; each round but the last removes at least one."""
 
     def part(name: str | None) -> None:
         if name is not None:

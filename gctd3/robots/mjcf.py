@@ -1,4 +1,4 @@
-"""Reading an MJCF: where it is, and what of it makes a legged robot. Any MJCF; what walking asks for comes later."""
+"""Reading of MJCF files: location, root body, joints, geoms and poses of a legged robot. Walking is checked later."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _KINDS: dict[int, Kind] = {
 
 @dataclass(frozen=True)
 class Joint:
-    """One moving joint of the robot, outside its base.
+    """Represent a moving joint of the robot, outside its base.
 
     Attributes:
         name: The joint's name in the MJCF, or ``joint_<id>`` if it has none.
         parent: Name of the next joint towards the root, or ``None`` if the root body comes first.
         body: Name of the body that the joint moves.
-        qpos: Index of its angle (rad; of a slide its length, m) in ``qpos``; of a ball, of its quaternion.
-        qvel: Index of its velocity (rad/s; of a slide m/s) in ``qvel``.
+        qpos: Index in ``qpos`` of its angle (rad), of a slide's length (m) or of a ball's quaternion.
+        qvel: Index in ``qvel`` of its velocity (rad/s; m/s for a slide).
         range: Lower and upper limit (rad or m), infinite where the MJCF sets none.
         kind: ``hinge``, ``slide`` or ``ball``.
         id: MuJoCo's index of the joint.
@@ -48,7 +48,7 @@ class Joint:
 
 
 def find_mjcf(path: str | Path) -> Path:
-    """The MJCF file of a robot given by path or by the name of one that ships with the library.
+    """Find the MJCF file of a robot given by path or by the name of one that ships with the library.
 
     Raises:
         RobotError: If there is neither such a file nor such a robot.
@@ -69,7 +69,7 @@ def find_mjcf(path: str | Path) -> Path:
 
 
 def load_mjcf(source: str | Path | mujoco.MjModel | mujoco.MjSpec) -> tuple[mujoco.MjModel, Path]:
-    """The compiled model of a file, a shipped robot or a model in memory, and what to call it in messages.
+    """Load the compiled model of a file, a shipped robot or a model in memory, with its label for messages.
 
     Raises:
         RobotError: If there is no such file, or MuJoCo cannot compile it, or the source is something else.
@@ -96,22 +96,22 @@ def load_mjcf(source: str | Path | mujoco.MjModel | mujoco.MjSpec) -> tuple[mujo
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:
-    """A body's name, or ``body_<id>`` if it has none."""
+    """Return a body's name, or ``body_<id>`` if it has none."""
     return model.body(body).name or f"body_{body}"
 
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """A joint's name, or ``joint_<id>`` if it has none."""
+    """Return a joint's name, or ``joint_<id>`` if it has none."""
     return model.joint(joint).name or f"joint_{joint}"
 
 
 def joint_kind(model: mujoco.MjModel, joint: int) -> Kind:
-    """What a joint does."""
+    """Return the kind of a joint: ``hinge``, ``slide``, ``ball`` or ``free``."""
     return _KINDS[int(model.jnt_type[joint])]
 
 
 def bodies_below(model: mujoco.MjModel, root: int) -> list[int]:
-    """Indices of ``root`` and of all bodies that hang on it."""
+    """Return the indices of ``root`` and of all its descendants."""
     inside = {root}
     for body in range(root + 1, model.nbody):  # parents come before their children
         if int(model.body_parentid[body]) in inside:
@@ -120,9 +120,9 @@ def bodies_below(model: mujoco.MjModel, root: int) -> list[int]:
 
 
 def root_body(model: mujoco.MjModel, file: Path) -> int:
-    """Index of the robot's root: the one body under the world that moves or carries what moves.
+    """Return the index of the robot's root: the one body under the world with joints on it or below it.
 
-    Beside a robot, what only floats (one free joint and nothing else, as a ball does) is scenery.
+    Beside a robot, a body with one free joint and no other joint, such as a ball, is scenery.
 
     Raises:
         RobotError: If there is none, or more than one.
@@ -144,9 +144,9 @@ def _floats(model: mujoco.MjModel, body: int) -> bool:
 
 
 def base_joints(model: mujoco.MjModel, root: int) -> range:
-    """Indices of the joints that carry the root body about: all of its own, if it can be displaced at all.
+    """Return the indices of the base's joints: all of the root body's own, if one of them can displace it.
 
-    A root body that only turns about a fixed point has no base: its joints are joints as any other.
+    A root body that only turns about a fixed point has no base: its joints are ordinary joints.
     """
     start = int(model.body_jntadr[root])
     own = range(start, start + int(model.body_jntnum[root]))
@@ -155,7 +155,7 @@ def base_joints(model: mujoco.MjModel, root: int) -> range:
 
 
 def read_joints(model: mujoco.MjModel, root: int, file: Path) -> list[Joint]:
-    """All joints of the robot outside its base, in the MJCF's order; several of one body follow one another.
+    """Read all joints of the robot outside its base, in the MJCF's order; joints of one body form a chain.
 
     Raises:
         RobotError: If there is none.
@@ -192,7 +192,7 @@ def read_joints(model: mujoco.MjModel, root: int, file: Path) -> list[Joint]:
 
 
 def read_actuated(model: mujoco.MjModel, joints: Sequence[Joint]) -> list[str]:
-    """The joint that each actuator drives, for those that drive one of ``joints``; motors and servos alike."""
+    """Return the joint that each actuator drives, for those that drive one of ``joints``; motors and servos alike."""
     names = {joint.id: joint.name for joint in joints}
     on_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     driven = [int(model.actuator_trnid[i, 0]) for i in range(model.nu) if model.actuator_trntype[i] in on_joint]
@@ -200,14 +200,14 @@ def read_actuated(model: mujoco.MjModel, joints: Sequence[Joint]) -> list[str]:
 
 
 def colliding_geoms(model: mujoco.MjModel, body: int) -> list[int]:
-    """Indices of a body's geoms that can touch others."""
+    """Return the indices of a body's geoms that can collide."""
     start = int(model.body_geomadr[body])
     own = range(start, start + int(model.body_geomnum[body]))
     return [g for g in own if model.geom_contype[g] or model.geom_conaffinity[g]]
 
 
 def leaf_bodies(model: mujoco.MjModel, root: int) -> list[int]:
-    """Indices of the bodies below ``root`` that can collide and carry none that can: the ends of its chains."""
+    """Return the indices of the chains' ends: bodies below ``root`` that can collide and carry none that can."""
     colliding = [b for b in bodies_below(model, root) if b != root and colliding_geoms(model, b)]
     inner = {root}
     for body in colliding:
@@ -219,10 +219,10 @@ def leaf_bodies(model: mujoco.MjModel, root: int) -> list[int]:
 
 
 def named_pose(model: mujoco.MjModel) -> tuple[str, np.ndarray] | None:
-    """What the MJCF calls the standing pose, and its ``qpos`` ``[nq]``; ``None`` if it names none.
+    """Return the MJCF's name of the standing pose and its ``qpos`` ``[nq]``; ``None`` if it names none.
 
-    The key ``stand``; else the key ``home`` (MuJoCo Menagerie); else the custom numeric ``init_qpos`` (Gymnasium's
-    older models).
+    The pose is the key ``stand``; else the key ``home`` (MuJoCo Menagerie); else the custom numeric ``init_qpos``
+    (Gymnasium's older models).
     """
     keys = {model.key(key).name: key for key in reversed(range(model.nkey))}
     for name in ("stand", "home"):
@@ -236,6 +236,6 @@ def named_pose(model: mujoco.MjModel) -> tuple[str, np.ndarray] | None:
 
 
 def standing_pose(model: mujoco.MjModel) -> np.ndarray:
-    """``qpos`` in which the robot stands, at whatever height if none is named: else the reference pose. ``[nq]``."""
+    """Return the ``qpos`` of the named standing pose, else of the reference pose, at whatever height. ``[nq]``."""
     named = named_pose(model)
     return model.qpos0.copy() if named is None else named[1]

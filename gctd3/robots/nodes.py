@@ -26,12 +26,12 @@ PRESETS = ("tree", "authors", "edgeless", "complete", "random")
 
 @dataclass(frozen=True)
 class Node:
-    """A node of a robot's graph.
+    """Represent a node of a robot's graph.
 
     Attributes:
-        name: The joint's or root body's, or made from it.
+        name: Name of the joint or root body; ``<root>_<coordinate>`` of a base node, ``ground`` or ``ground_<i>``.
         kind: ``root``, ``base``, ``hinge``, ``slide``, ``ball`` or ``ground``.
-        parents: Names of the nodes above it in the tree; of a ground node, of the joints that its feet hang on.
+        parents: Names of the nodes above it in the tree; for a ground node, the last joints of its feet's legs.
         mirror: Name of its mirror image, often its own.
     """
 
@@ -42,7 +42,7 @@ class Node:
 
 
 def read_nodes(robot: Robot) -> list[Node]:
-    """Root, base nodes, joints by depth (equal depths in the MJCF's order), ground: always in this order."""
+    """Return the nodes in order: root, base nodes, joints by depth (equal depths in the MJCF's order), ground."""
     depth: dict[str, int] = {}
     for joint in robot.joints:
         depth[joint.name] = depth[joint.parent] + 1 if joint.parent else 1
@@ -64,7 +64,7 @@ def read_nodes(robot: Robot) -> list[Node]:
 
 
 def foot_slots(robot: Robot) -> np.ndarray:
-    """Where each foot's contact stands: ground node (-1 is the last node) and feature. Shape ``[feet, 2]``."""
+    """Locate each foot's contact: ground node (-1 is the last node) and feature. Shape ``[feet, 2]``."""
     slots = np.zeros((len(robot.feet), 2), dtype=np.int64)
     for i, feet in enumerate(robot.foot_pairs):
         for feature, foot in enumerate(feet):
@@ -73,7 +73,9 @@ def foot_slots(robot: Robot) -> np.ndarray:
 
 
 def read_adjacency(nodes: Sequence[Node], preset: str, seed: int) -> np.ndarray:
-    """The edges of a preset, see :meth:`.KinematicGraph.from_robot`; shape ``[N, N]``, ``A[i, j] = 1``: i takes in j.
+    """Build the adjacency of a preset of :meth:`.KinematicGraph.from_robot`. Shape ``[N, N]``.
+
+    ``A[i, j] = 1`` if node ``i`` aggregates node ``j``.
 
     Raises:
         RobotError: If the preset is unknown.
@@ -93,7 +95,7 @@ def read_adjacency(nodes: Sequence[Node], preset: str, seed: int) -> np.ndarray:
 
 
 def adjacency_of(names: Sequence[str], edges: Sequence[tuple[str, str]], directed: bool) -> np.ndarray:
-    """Shape ``[N, N]``: ``(i, j)`` sets ``A[i, j]``, and ``A[j, i]`` too unless ``directed``."""
+    """Build the adjacency ``[N, N]`` of edges: ``(i, j)`` sets ``A[i, j]``, and ``A[j, i]`` too unless ``directed``."""
     place = {name: i for i, name in enumerate(names)}
     adjacency = np.zeros((len(names), len(names)))
     for a, b in edges:
@@ -111,9 +113,9 @@ def _tree(nodes: Sequence[Node]) -> np.ndarray:
 
 
 def _authors(nodes: Sequence[Node]) -> np.ndarray:
-    """Each joint takes in its parent, the hips one another, the ground is joined to nothing (released script).
+    """Build the released script's adjacency: a joint aggregates its parent, hips one another, the ground nothing.
 
-    The authors' robot has no base nodes; the root takes them in, so that they reach the joints.
+    The authors' robot has no base nodes; the root aggregates them, so that they reach the joints.
     """
     root = nodes[0].name
     joints = [node for node in nodes if node.kind not in ("root", "base", "ground")]
@@ -133,7 +135,7 @@ def _random(num_nodes: int, num_edges: int, seed: int) -> np.ndarray:
 
 
 def _free_name(name: str, taken: set[str]) -> str:
-    """``name``, with underscores if a joint or an earlier node is called so."""
+    """Return ``name``, with underscores if a joint or an earlier node has that name, and mark it as taken."""
     while name in taken:
         name += "_"
     taken.add(name)

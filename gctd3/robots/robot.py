@@ -1,4 +1,4 @@
-"""A legged robot read from an MJCF: its base, joints, feet and left/right mirror, and what walking asks of it.
+"""A legged robot read from an MJCF: its base, joints, feet and left/right mirror, and the requirements for walking.
 
 Stage one of the data flow. Needs MuJoCo and NumPy, nothing else.
 """
@@ -24,18 +24,18 @@ from gctd3.robots.standing_pose import check_standing, find_standing, find_start
 
 @dataclass(frozen=True)
 class Robot:
-    """A robot with a root body and joints below it; what else it needs to walk, :meth:`check_walking` says.
+    """Represent a robot with a root body and joints below it; :meth:`check_walking` checks what else walking requires.
 
-    Build it with :meth:`from_mjcf`; nothing about it is typed in.
+    Build it with :meth:`from_mjcf`, which reads its properties from the model.
 
     Attributes:
         model: The compiled MuJoCo model.
-        path: The MJCF file, or what to call a model in memory.
+        path: The MJCF file, or the label of a model in memory.
         root: Name of the body that carries the base joints.
         joints: All joints outside the base, in the order of the MJCF (depth first).
         actuated: For each actuator of a joint, in order, the name of the joint that it drives.
         feet: Names of the bodies that may touch the ground.
-        forward_axis: Where forward is: ``x``, ``-x``, ``y`` or ``-y`` of the world.
+        forward_axis: Forward direction: ``x``, ``-x``, ``y`` or ``-y`` of the world.
     """
 
     model: mujoco.MjModel
@@ -53,13 +53,13 @@ class Robot:
         feet: str | Sequence[str] | None = None,
         forward: Axis | None = None,
     ) -> Robot:
-        """Read a robot.
+        """Read a robot from an MJCF file or a model in memory.
 
         Args:
             source: An MJCF file, the name of a robot that ships with the library (``"biped"``), or a model in memory.
             feet: Names of the bodies (or of their geoms) that may touch the ground; by default those at the ends of
                 the legs that stand on it, see :func:`.find_feet`.
-            forward: Where forward is; by default see :func:`.find_forward`.
+            forward: Forward direction; by default see :func:`.find_forward`.
 
         Raises:
             RobotError: If the file is missing, does not parse, or has no one root, no joint or no foot.
@@ -80,17 +80,17 @@ class Robot:
 
     @cached_property
     def base(self) -> Base:
-        """How the root body moves about."""
+        """Return the base: the degrees of freedom of the root body."""
         return Base(self.model, root_body(self.model, self.path), self.forward_axis)
 
     @property
     def forward(self) -> int:
-        """Index in ``qpos`` of the coordinate along the forward axis (m); on slides, in ``qvel`` too."""
+        """Return the index in ``qpos`` of the coordinate along the forward axis (m); on slides, in ``qvel`` too."""
         return self._index("forward")
 
     @property
     def vertical(self) -> int:
-        """Index in ``qpos`` of the coordinate along z (m); on slides, in ``qvel`` too."""
+        """Return the index in ``qpos`` of the coordinate along z (m); on slides, in ``qvel`` too."""
         return self._index("height")
 
     def _index(self, coordinate: str) -> int:
@@ -107,18 +107,18 @@ class Robot:
 
     @cached_property
     def standing_qpos(self) -> np.ndarray:
-        """``qpos`` in which it stands, from which heights count; see :func:`.find_standing`. Shape ``[nq]``."""
+        """Return the ``qpos`` of standing, the reference of heights; see :func:`.find_standing`. Shape ``[nq]``."""
         return find_standing(self.base, [self._bodies[foot] for foot in self.feet])
 
     @cached_property
     def start_qpos(self) -> np.ndarray:
-        """``qpos`` in which episodes begin, but for their noise; see :func:`.find_start`. Shape ``[nq]``."""
+        """Return the ``qpos`` in which episodes begin, without noise; see :func:`.find_start`. Shape ``[nq]``."""
         return find_start(self.base, self.standing_qpos)
 
     # Joints and actuators.
 
     def joint(self, name: str) -> Joint:
-        """The joint of that name.
+        """Return the joint with a given name.
 
         Raises:
             RobotError: If there is none; the message lists those there are.
@@ -130,17 +130,17 @@ class Robot:
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Names of the actuators, in the order of the action. Length ``A``."""
+        """Return the names of the actuators, in the order of the action. Length ``A``."""
         return tuple(self.model.actuator(i).name or joint for i, joint in enumerate(self.actuated))
 
     @property
     def action_range(self) -> np.ndarray:
-        """Lower and upper desired joint angle (rad) of each actuator. Shape ``[A, 2]``."""
+        """Return the lower and upper desired joint angle (rad) of each actuator. Shape ``[A, 2]``."""
         return self.model.actuator_ctrlrange.copy()
 
     @cached_property
     def legs(self) -> tuple[tuple[Joint, ...], ...]:
-        """For each foot, the joints from the root down to it."""
+        """Return for each foot the joints from the root down to it."""
         chains = []
         for foot in self.feet:
             chain: list[Joint] = []
@@ -154,7 +154,7 @@ class Robot:
 
     @cached_property
     def hip_signs(self) -> np.ndarray:
-        """Factors that make a hip's angle count in the sense of its mirror image, if that comes first. ``[feet]``."""
+        """Return the sign of each hip's angle relative to its mirror image, if that comes first, else 1. ``[feet]``."""
         mirrored = self.mirror_feet
         return np.array([self.mirror_sign(leg[0].name) if mirrored[i] < i else 1.0 for i, leg in enumerate(self.legs)])
 
@@ -174,7 +174,7 @@ class Robot:
     # Contacts.
 
     def contact_sensors(self, bodies: Sequence[str]) -> np.ndarray:
-        """Index in ``sensordata`` of each body's ground-contact count. Shape ``[len(bodies)]``.
+        """Return the index in ``sensordata`` of each body's ground-contact count. Shape ``[len(bodies)]``.
 
         Raises:
             RobotError: If a body has no ``<contact ... data="found"/>`` sensor.
@@ -190,7 +190,7 @@ class Robot:
 
     @property
     def other_contact_bodies(self) -> tuple[str, ...]:
-        """Bodies with a ground-contact sensor that are not feet: their touch is a fall."""
+        """Return the bodies other than feet with a ground-contact sensor: their contact counts as a fall."""
         return tuple(body for body in self._contact_sensors if body not in self.feet)
 
     @cached_property
@@ -206,12 +206,12 @@ class Robot:
 
     @cached_property
     def mirror(self) -> dict[str, str]:
-        """Every joint's mirror image; its own if it has none."""
+        """Return the mirror image of each joint, by name; a joint without one is its own."""
         last = {leg[-1].name for leg in self.legs if leg}
         return pair_joints(self.model, self.joints, last, self.base.frame[1])
 
     def mirror_name(self, name: str) -> str:
-        """The name of the same joint or body on the other side, or ``name`` if it has no side."""
+        """Return the name of the same joint or body on the other side, or ``name`` if it has no side."""
         if name in self.mirror:
             return self.mirror[name]
         other = swap_side(name, self._bodies)
@@ -221,12 +221,12 @@ class Robot:
         return self.joint(self.mirror[moved[-1]]).body if moved else name
 
     def mirror_sign(self, name: str) -> float:
-        """+1 if equal angles of a joint mirror each other, -1 if opposite ones do (its axis against its partner's)."""
+        """Compare a joint's axis with its partner's: +1 if equal angles mirror each other, -1 if opposite ones do."""
         return reflected_sign(self.model, self.joint(name), self.joint(self.mirror[name]), self.base.frame[1])
 
     @cached_property
     def mirror_feet(self) -> tuple[int, ...]:
-        """For each foot the index of its mirror image; its own if that is no foot."""
+        """Return for each foot the index of its mirror image; its own index if that is no foot."""
         ends = [leg[-1].name if leg else None for leg in self.legs]
         order = []
         for i, (foot, end) in enumerate(zip(self.feet, ends, strict=True)):
@@ -237,14 +237,14 @@ class Robot:
 
     @cached_property
     def foot_pairs(self) -> tuple[tuple[int, ...], ...]:
-        """The feet, one or two to a ground node: all of at most two; of more, each with its mirror image."""
+        """Group the feet by ground node: up to two feet share one; of more, each joins its mirror image."""
         if len(self.feet) <= 2:
             return (tuple(range(len(self.feet))),)
         return tuple((i, other) if other != i else (i,) for i, other in enumerate(self.mirror_feet) if i <= other)
 
     @cached_property
     def action_mirror(self) -> tuple[np.ndarray, np.ndarray]:
-        """Permutation and sign with which ``sign * action[..., permutation]`` is the mirrored action. Each ``[A]``.
+        """Return permutation and sign: ``sign * action[..., permutation]`` is the mirrored action. Each ``[A]``.
 
         Raises:
             RobotError: If a joint has an actuator and its mirror image has none.
@@ -256,10 +256,10 @@ class Robot:
         sign = [self.mirror_sign(name) for name in self.actuated]
         return np.array(order), np.array(sign)
 
-    # What the walking task asks for beyond a graph.
+    # Requirements of the walking task beyond a graph.
 
     def check_legs(self) -> None:
-        """Raise a :class:`.RobotError` that names a foot that is no leg's end, if there is one."""
+        """Raise a :class:`.RobotError` that names a foot which is not the end of a leg, if any."""
         for foot, leg in zip(self.feet, self.legs, strict=True):
             if not leg:
                 raise RobotError(
@@ -267,7 +267,7 @@ class Robot:
                 )
 
     def check_walking(self) -> None:
-        """Check that the robot can be taught to walk: a base, position servos, legs and contact sensors.
+        """Check the requirements for walking: base, hinges, position servos, legs, contact sensors, pose and mirror.
 
         Raises:
             RobotError: If something is missing; the message says what to add.

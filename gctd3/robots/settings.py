@@ -1,4 +1,4 @@
-"""Settings of the robot: which one, and which graph over it."""
+"""Settings of the robot and of the graph over it."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RobotSettings:
-    """Set which robot, and which graph over it.
+    """Hold the settings of the robot and of the graph over it.
 
     Attributes:
-        name: Robot that ships with gctd3, or the path of an MJCF file (robot=my.xml says the same); of no meaning for a
+        name: Robot that ships with gctd3, or the path of an MJCF file (robot=my.xml says the same); unused by a
             library's task, which brings its own.
         graph: Edges between its nodes: ``tree`` (the paper's), ``authors`` (the released script's), ``edgeless``,
             ``complete`` or ``random``.
         graph_seed: Seed of graph=random.
         feet: Bodies (or geoms of theirs) that may touch the ground; ``None`` for those at the ends of the legs that it
             stands on.
-        forward: Axis of the world along which it is to go: x, -x, y or -y; ``None``: along its slide, or where its left
-            and right sides are equal.
+        forward: Forward direction among the axes of the world: x, -x, y or -y; ``None`` for that of its slide, or else
+            the one for which its left and right sides are equal.
     """
 
     name: str = "biped"
@@ -39,7 +39,7 @@ class RobotSettings:
         check_seed("graph_seed", self.graph_seed)
 
     def load(self, feet: Sequence[str] | None = None) -> Robot:
-        """The robot, with other feet if some are named.
+        """Load the robot, with other feet if some are named.
 
         Raises:
             RobotError: If it cannot be used.

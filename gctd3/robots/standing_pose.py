@@ -1,4 +1,4 @@
-"""Where a robot stands and where its episodes begin: in the pose that its MJCF names, else on the ground."""
+"""The standing and the initial pose of a robot: the pose that its MJCF names, else the reference pose on the ground."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOST_DROP = 0.05  # m: from how far above standing an episode may begin
 
 
 def find_standing(base: Base, feet: Sequence[int]) -> np.ndarray:
-    """The pose that the MJCF names; else the reference pose, at the height at which the first foot touches the ground.
+    """Find the standing pose: the one that the MJCF names, else the reference pose with the lowest foot on the ground.
 
     Args:
         base: The robot's base.
@@ -36,7 +36,7 @@ def find_standing(base: Base, feet: Sequence[int]) -> np.ndarray:
 
 
 def find_start(base: Base, standing: np.ndarray) -> np.ndarray:
-    """The reference pose, if that is the standing one but for a small drop; else the standing pose. Shape ``[nq]``.
+    """Find the initial pose: the reference pose if a small drop above standing, else the standing pose. Shape ``[nq]``.
 
     Args:
         base: The robot's base.
@@ -51,12 +51,12 @@ def find_start(base: Base, standing: np.ndarray) -> np.ndarray:
 
 
 def check_standing(base: Base, feet: Sequence[int], file: Path) -> None:
-    """Check that the pose that the MJCF names is one on the ground: heights count from it, and episodes begin in it.
+    """Check that the pose that the MJCF names is on the ground: heights are relative to it, and episodes begin in it.
 
     Args:
         base: The robot's base.
         feet: Indices of the bodies that may touch the ground.
-        file: What to call the MJCF.
+        file: Path of the MJCF, for messages.
 
     Raises:
         RobotError: If its lowest foot is far above or below the ground.
@@ -75,9 +75,9 @@ def check_standing(base: Base, feet: Sequence[int], file: Path) -> None:
 
 
 def ground_height(model: mujoco.MjModel) -> float | None:
-    """Height of the ground (m): of a level plane, or of a box's upper side, that does not move; ``None`` if none is.
+    """Find the height of the ground (m): a static level plane, or the top of a static level box; ``None`` without one.
 
-    The ground is what the contact sensors tell the touch of; without such sensors the highest plane.
+    The ground is the highest geom that the contact sensors refer to; without such sensors the highest plane.
     """
     data, types = mujoco.MjData(model), mujoco.mjtGeom
     mujoco.mj_kinematics(model, data)
@@ -96,7 +96,7 @@ def ground_height(model: mujoco.MjModel) -> float | None:
 
 
 def _lowest(model: mujoco.MjModel, feet: Sequence[int], qpos: np.ndarray) -> float:
-    """Height of the lowest point of the feet (m); infinite if they have no geom."""
+    """Compute the height of the lowest point of the feet (m); infinite if they have no geom."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)

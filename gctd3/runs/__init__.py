@@ -1,1 +1,1 @@
-"""Runs: what is done with a finished one; loading, judging, drawing, showing."""
+"""Finished runs: loading, evaluating, rendering and viewing them."""

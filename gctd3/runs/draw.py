@@ -15,7 +15,7 @@ from gctd3.viz.offscreen import find_backend
 
 
 def render_run(settings: RenderSettings) -> Path:
-    """Draw the best policy of a run.
+    """Render the walk of the best policy of a run: a sheet of frames, an animation or a video.
 
     Returns:
         The file written.
@@ -27,7 +27,7 @@ def render_run(settings: RenderSettings) -> Path:
     run, out = load_run(settings.run), Path(settings.out)
     task = run.task("film")
     policy, robot = run.policy(), task.robot
-    # All that could be missing, before the walk.
+    # Check all requirements before the walk.
     check_camera(robot, settings.camera)
     find_backend()
     if out.suffix == ".mp4":

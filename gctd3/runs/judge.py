@@ -1,4 +1,4 @@
-"""Judge a policy: ``python -m gctd3.evaluate run=DIR episodes=50``."""
+"""Evaluate a policy: ``python -m gctd3.evaluate run=DIR episodes=50``."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ ROBUSTNESS, ROBUSTNESS_PICTURE = "robustness.json", "robustness.png"
 
 
 def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
-    """Judge the best policy of a run and write ``evaluation.json`` and ``trace.csv`` to ``settings.folder``.
+    """Evaluate the best policy of a run; write ``evaluation.json`` and ``trace.csv`` to ``settings.folder``, if any.
 
     Returns:
-        What was written.
+        The report in ``evaluation.json``.
 
     Raises:
         RunError: If the directory is not a run, one of another version, or of a task that robustness is not for.
@@ -65,14 +65,14 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
 
 
 def examine_run(settings: EvaluateSettings, stride_time: float | None) -> dict[str, Any]:
-    """Try what the best policy of a run stands, and write ``robustness.json``, with matplotlib a picture too.
+    """Test the robustness of a run's best policy; write ``robustness.json``, with matplotlib a picture too.
 
     Args:
-        settings: As for :func:`evaluate_run`.
-        stride_time: Of its gait (s), if it has strides.
+        settings: The settings, as for :func:`evaluate_run`.
+        stride_time: Stride time of its gait (s), if it has strides.
 
     Returns:
-        What was written, see :meth:`.Examination.results`.
+        The results in ``robustness.json``, see :meth:`.Examination.results`.
     """
     from gctd3.runs.load import load_run
     from gctd3.training.checkpoint import versions
@@ -95,7 +95,7 @@ def examine_run(settings: EvaluateSettings, stride_time: float | None) -> dict[s
 
 
 def trace(episode: Episode, robot: Robot, dt: float) -> str:
-    """An episode whose motion was recorded as CSV, a row for each control step, units in the head.
+    """Format the recorded motion of an episode as CSV, a row for each control step, units in the head.
 
     Raises:
         ValueError: If its motion was not recorded.
@@ -114,7 +114,7 @@ def trace(episode: Episode, robot: Robot, dt: float) -> str:
 
 
 def table(report: dict[str, object]) -> str:
-    """The report beside the paper's row."""
+    """Format the report as a table beside the paper's row."""
     rows = [
         ("episodes", "episodes", "{:.0f}", None),
         ("return", "return_mean", "{:.1f}", "return_std"),
@@ -147,7 +147,7 @@ def table(report: dict[str, object]) -> str:
 
 
 def _finite(value: object) -> object:
-    """``value`` with undefined numbers as ``null``, which JSON can hold."""
+    """Replace undefined numbers in ``value`` by ``None``, which JSON can hold as ``null``."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,4 +1,4 @@
-"""Load what a finished run holds: its policy, and the task for which that was trained."""
+"""Load a finished run: its policy, and the task for which that was trained."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from gctd3.training.settings import TrainSettings
 
 @dataclass(frozen=True)
 class LoadedRun:
-    """A run, read once.
+    """Hold the settings and setup of a run, read once.
 
     Attributes:
-        directory: Where it is.
-        settings: With which it was started.
+        directory: Directory of the run.
+        settings: Settings with which it was started.
         setup: Its robot, task and the shape of its networks.
     """
 
@@ -40,7 +40,7 @@ class LoadedRun:
         return policy
 
     def task(self, ability: Ability, reward: Reward | None = None) -> Any:  # noqa: ANN401 - a task with that ability
-        """Return its task under a reward, by default the one that training judged by.
+        """Return its task under a reward, by default the one under which training evaluated.
 
         Raises:
             RunError: If the task does not have the ability.
@@ -50,7 +50,7 @@ class LoadedRun:
 
 
 def load_run(run: str | Path | None = None) -> LoadedRun:
-    """Read a run.
+    """Load the settings and setup of a run.
 
     Args:
         run: Its directory; the walking biped that ships with the library if ``None``.

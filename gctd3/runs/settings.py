@@ -1,4 +1,4 @@
-"""Settings of the commands that take a finished run: what to judge, draw and show."""
+"""Settings of the commands that take a finished run: to evaluate, render and view it."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ MOST_PIXELS = 16_384  # of a frame's side
 
 @dataclass(frozen=True)
 class EvaluateSettings(Judging):
-    """Set what ``gctd3.evaluate`` judges.
+    """Hold the settings of ``gctd3.evaluate``.
 
     Attributes:
         run: Directory of the run; ``None`` for the walking biped that ships with gctd3.
-        reward: Reward under which to judge; ``None`` for the one that training judged by, which is the paper's by
-            default.
+        reward: Reward under which to evaluate; ``None`` for the one under which training evaluated, which is the
+            paper's by default.
         out: Directory for evaluation.json and trace.csv; ``None`` for the run's, and nothing is written if no run is
             given.
-        robustness: Try what the policy stands, too: shoves, other masses and floors, late actions, noise.
-        perturbations: How much of each.
+        robustness: Test robustness too: to pushes, other masses and floors, delayed actions, noise.
+        perturbations: Perturbations of the robustness test, and their magnitudes.
     """
 
     run: str | None = None
@@ -34,14 +34,14 @@ class EvaluateSettings(Judging):
 
     @property
     def folder(self) -> Path | None:
-        """Where to write."""
+        """Return the directory to write to; ``None`` to write nothing."""
         place = self.run if self.out is None else self.out
         return Path(place) if place is not None else None
 
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """Set what ``gctd3.render`` draws.
+    """Hold the settings of ``gctd3.render``.
 
     Attributes:
         run: Directory of the run; ``None`` for the walking biped that ships with gctd3.
@@ -88,12 +88,12 @@ class RenderSettings:
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """Set what ``gctd3.view`` shows.
+    """Hold the settings of ``gctd3.view``.
 
     Attributes:
         run: Directory of the run; ``None`` for the walking biped that ships with gctd3.
         runs: Directory below which there are more runs to choose from, in the browser.
-        seed: Seed of the first start; each further one has the next.
+        seed: Seed of the first start; each further start has the next seed.
         endless: ``True``: only a fall ends the walk; ``False``: the finish, the time limit and the paper's endings do
             too.
         host: Address to listen at; 0.0.0.0 for every machine that can reach this one: whoever can see it can steer it.

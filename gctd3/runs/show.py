@@ -25,7 +25,7 @@ SHIPPED = "shipped with gctd3"  # what the policy in the package is called among
 
 
 def open_walk(run: str, settings: ViewSettings) -> LiveWalk:
-    """The policy of one of the :func:`choices`, ready to walk.
+    """Load the policy of one of the :func:`choices`, ready to walk.
 
     Raises:
         RunError: If it is no run, or not of the walking task.
@@ -36,7 +36,7 @@ def open_walk(run: str, settings: ViewSettings) -> LiveWalk:
 
 
 def choices(run: str | None, runs: str) -> list[str]:
-    """The run, then all others with a policy below a directory, newest first, and the one in the package."""
+    """List the run, all others with a policy below a directory, newest first, and the one in the package."""
     there = [path.parent for path in Path(runs).rglob("checkpoints") if path.is_dir()]
     others = sorted((path for path in there if _has_policy(path)), key=lambda path: path.stat().st_mtime, reverse=True)
     mine = find_run(run).resolve()
@@ -58,7 +58,7 @@ def check_packages() -> None:
 
 
 def check_port(host: str, port: int) -> None:
-    """Raise a :class:`.ConfigError` unless ``host`` can be listened at on ``port``; viser would take another."""
+    """Raise a :class:`.ConfigError` unless a server can listen on ``port`` of ``host``; viser would take another."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as probe:
