@@ -6,15 +6,13 @@ their values of the annotated types. The dataclasses check ranges themselves.
 
 from __future__ import annotations
 
-import contextlib
 import inspect
-import logging
 import math
 import os
 import sys
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -112,17 +110,6 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
     except ConfigError as error:
         # Targets name their own fields; the path to them is known here.
         raise ConfigError(f"{path}.{error}".lstrip(".")) from error
-
-
-@contextlib.contextmanager
-def _silent(name: str) -> Iterator[None]:
-    """Disable a logger within the context, whose messages are reported here."""
-    logger = logging.getLogger(name)
-    before, logger.disabled = logger.disabled, True
-    try:
-        yield
-    finally:
-        logger.disabled = before
 
 
 def _hints(function: Callable[..., Any]) -> dict[str, Any]:
