@@ -35,6 +35,7 @@ _TARGETS = {
     "BaseCoordinate": "gctd3.tasks.features",
     "BaseRate": "gctd3.tasks.features",
     "BodyHeight": "gctd3.tasks.reward_terms",
+    "Composition": "gctd3.tasks.simulated_task",
     "DDPGSettings": "gctd3.algorithms.settings",
     "Ended": "gctd3.tasks.reward_terms",
     "EnvSettings": "gctd3.envs.settings",

@@ -161,3 +161,22 @@ class Forgetful(RewardTerm):
 
     def __call__(self, step):
         return step.after["nothing"]
+
+
+@dataclass(frozen=True)
+class UnmirroredClock(Termination):
+    """Show critics two clocks, and do not say how they look in the mirror."""
+
+    def __call__(self, step):
+        return step.now.velocity > 100.0
+
+    def clock(self, after, facts, time_limit):
+        return np.zeros((*after["step"].shape, 2))
+
+
+@dataclass(frozen=True)
+class OnLegs(Remembers):
+    """Remember an array of a size that has no name."""
+
+    def remembers(self):
+        return (Remembered("on_legs", ("legs",), 0.0, _rising),)

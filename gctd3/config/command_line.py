@@ -181,6 +181,8 @@ def explain(error: Exception, config: str) -> str:
     keys = _known_keys(config, sys.argv[1:])
     siblings = [k for k in keys if k.rpartition(".")[0] == parent]
     accepted = f" Accepted: {', '.join(siblings)}." if siblings else ""
+    if any(argument.startswith(f"{key}._target_=") for argument in sys.argv[1:]):
+        return f"Unknown key {key!r}. To add it: +{key}._target_=...{accepted}"
     return f"Unknown key {key!r}.{suggest(key, keys)}{accepted}"
 
 

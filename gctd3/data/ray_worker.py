@@ -42,9 +42,12 @@ class RayWorker(Worker):
 
     def kill(self) -> None:
         """End the actor at once."""
-        for actor in list(self._collector.remote_collectors):
+        # TorchRL's list of them has to be empty: those in it are killed again when the collector is deleted, and if
+        # that is while Python ends, Ray first starts another cluster for it, and waits forever.
+        actors = self._collector.remote_collectors
+        while actors:
             with contextlib.suppress(Exception):  # there may be no cluster left to ask
-                ray.kill(actor, no_restart=True)
+                ray.kill(actors.pop(), no_restart=True)
 
     def close(self) -> None:
         """Let the actor end."""

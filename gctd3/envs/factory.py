@@ -98,7 +98,7 @@ def make_env(
     robot: str = "biped",
     num_envs: int = 64,
     backend: Backend = "batched",
-    history: int = 5,
+    history: int | None = None,
     seed: int = 0,
     reward: Reward | None = None,
     task: TaskSettings | None = None,
@@ -109,7 +109,7 @@ def make_env(
         robot: A shipped robot, or the path of an MJCF file.
         num_envs: Number of robots simulated side by side.
         backend: ``batched`` or ``dm_control``.
-        history: Number of frames stacked into an observation.
+        history: Number of frames stacked into an observation; the task's by default.
         seed: Seed of the starts.
         reward: The reward; the paper's by default.
         task: The other settings of the task; the paper's walk by default.
@@ -119,6 +119,7 @@ def make_env(
         >>> env.reset()["nodes"].shape
         torch.Size([3, 8, 10])
     """
-    asked = replace(task or WalkSettings(), history=history)
+    asked = task or WalkSettings()
+    asked = asked if history is None else replace(asked, history=history)
     built = asked.build(RobotSettings(robot), reward or Reward())
     return build_env(built, EnvSettings(backend=backend, num_envs=num_envs), seed)

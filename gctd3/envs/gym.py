@@ -35,7 +35,7 @@ class BipedVectorEnv(VectorEnv):
     Args:
         num_envs: Number of robots simulated side by side.
         robot: A shipped robot, or the path of an MJCF file.
-        history: Number of frames stacked into an observation.
+        history: Number of frames stacked into an observation; the task's by default.
         reward: The reward; the paper's by default.
         threads: Threads of the simulation; all cores if ``None``.
         task: The other settings of the task; the paper's walk by default.
@@ -48,14 +48,16 @@ class BipedVectorEnv(VectorEnv):
         self,
         num_envs: int = 1,
         robot: str = "biped",
-        history: int = 5,
+        history: int | None = None,
         reward: Reward | None = None,
         threads: int | None = None,
         task: TaskSettings | None = None,
     ) -> None:
+        settings = task or WalkSettings()
+        history = settings.history if history is None else history
         if history < 1:
             raise ConfigError(f"history must be at least 1, got {history}.")
-        asked = (task or WalkSettings()).build(RobotSettings(robot), reward or Reward())
+        asked = settings.build(RobotSettings(robot), reward or Reward())
         check_backend(asked, "batched")
         one = cast(SimulatedTask, asked)
         self.simulation = Simulation(one, num_envs, threads=threads)
@@ -114,7 +116,7 @@ class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     Args:
         robot: A shipped robot, or the path of an MJCF file.
-        history: Number of frames stacked into an observation.
+        history: Number of frames stacked into an observation; the task's by default.
         reward: The reward; the paper's by default.
         task: The other settings of the task; the paper's walk by default.
     """
@@ -124,7 +126,7 @@ class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def __init__(
         self,
         robot: str = "biped",
-        history: int = 5,
+        history: int | None = None,
         reward: Reward | None = None,
         task: TaskSettings | None = None,
     ) -> None:

@@ -40,6 +40,7 @@ class LibraryTask:
     num_counters = 0
     backends: tuple[str, ...] = ("library",)
     abilities: frozenset[Ability] = frozenset()
+    endless = False
 
     def __init__(
         self,

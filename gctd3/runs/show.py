@@ -32,7 +32,7 @@ def open_walk(run: str, settings: ViewSettings) -> LiveWalk:
     """
     loaded = load_run(None if run == SHIPPED else run)
     task = loaded.task("film")
-    return LiveWalk(loaded.policy(), task.endless() if settings.endless else task, settings.seed)
+    return LiveWalk(loaded.policy(), task.without_end() if settings.endless else task, settings.seed)
 
 
 def choices(run: str | None, runs: str) -> list[str]:

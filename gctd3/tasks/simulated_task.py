@@ -111,7 +111,7 @@ class SimulatedTask:
         self._qpos = np.array([joint.qpos for joint in robot.joints])
         self._qvel = np.array([joint.qvel for joint in robot.joints])
         limits = [term.steps for term in self.terminations.values() if isinstance(term, TimeLimit)]
-        self.time_limit = min(limits, default=MOST_STEPS)
+        self.time_limit, self.endless = min(limits, default=MOST_STEPS), not limits
         self.num_counters = 0
         self._try()
 
@@ -157,6 +157,14 @@ class SimulatedTask:
                         f"{where} must return {asked} for each robot, shape {list(batch)}, got "
                         f"{list(np.shape(value))} {np.asarray(value).dtype}."
                     )
+        for where, term in ended.items():
+            clock, (source, sign) = term.clock(first, self.facts, self.time_limit), term.clock_mirror(self.facts)
+            length = 0 if clock is None else np.shape(clock)[-1]
+            if len(source) != length or len(sign) != length:
+                raise ConfigError(
+                    f"{where}: clock_mirror must return a source and a sign for each of the {length} numbers of clock, "
+                    f"got {len(source)} and {len(sign)}."
+                )
         self.num_counters = self.counters(first).shape[-1]
 
     # Measuring.
@@ -269,7 +277,7 @@ class SimulatedTask:
         """Return the same task on a changed robot that has the same graph."""
         return type(self)(robot, self.reward, self.settings, self.graph)
 
-    def endless(self) -> SimulatedTask:
+    def without_end(self) -> SimulatedTask:
         """Return the same task with fatal terminations only, after which the robot could not continue."""
         kept = {n: term if term is not None and term.fatal else None for n, term in self.settings.terminations.items()}
         return type(self)(self.robot, self.reward, replace(self.settings, terminations=kept), self.graph)

@@ -35,6 +35,7 @@ class Task(Protocol):
         num_counters: Length of the critics' privileged input.
         backends: Backends on which the task runs; see :class:`.EnvSettings`.
         abilities: Operations that the task and its policies support.
+        endless: Whether an episode may go on forever, so that it cannot be evaluated.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Task(Protocol):
     num_counters: int
     backends: tuple[str, ...]
     abilities: frozenset[Ability]
+    endless: bool
 
     def reflection(self) -> Reflection:
         """Return the reflection of the task's observations and actions.

@@ -33,6 +33,8 @@ def check_terms(where: str, terms: Mapping[str, Any], kind: type[Term]) -> dict[
             accepted values.
     """
     for name, term in terms.items():
+        if not isinstance(name, str):
+            raise ConfigError(f"{where}: the names of terms must be text, got {name!r}.")
         if term is not None and not isinstance(term, kind):
             given = type(term).__name__ if isinstance(term, Term) else repr(term)
             raise ConfigError(

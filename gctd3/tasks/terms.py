@@ -80,7 +80,11 @@ class RobotFacts:
 
     def size(self, dimension: int | str) -> int:
         """Return the size of a remembered array's dimension: a number, or ``feet``, ``joints`` or ``actions``."""
-        return dimension if isinstance(dimension, int) else int(getattr(self, dimension))
+        if isinstance(dimension, int):
+            return dimension
+        if dimension not in ("feet", "joints", "actions"):
+            raise ConfigError(f"a remembered size must be a number, feet, joints or actions, got {dimension!r}.")
+        return int(getattr(self, dimension))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from yaml import YAMLError
 
 import gctd3
 from gctd3.compat import stored_mapping
-from gctd3.config.build import build
+from gctd3.config.build import MODULES, build
 from gctd3.config.command_line import chooses, ships
 from gctd3.errors import ConfigError, RunError
 from gctd3.files import write_text
@@ -191,4 +191,6 @@ def flat(config: DictConfig, prefix: str = "") -> dict[str, object]:
 
 
 def _unusable(file: Path, error: Exception) -> RunError:
+    if MODULES in str(error):
+        return RunError(f"{file}: {error}")
     return RunError(f"{file} cannot be used by gctd3 {gctd3.__version__}; it is damaged or of another version: {error}")

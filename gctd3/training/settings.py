@@ -170,6 +170,10 @@ class TrainSettings:
         for key, asked, ability in (("replay.mirror", self.replay.mirror, "mirror"), ("video", self.video, "film")):
             if asked and ability not in task.abilities:
                 raise ConfigError(f"{key} must be false for {task.name}, got true: {ability} is for simulated tasks.")
+        if task.endless:
+            raise ConfigError(
+                "task.terminations must hold a gctd3.TimeLimit: without one an evaluation may never end, got none."
+            )
         check_backend(task, self.env.backend)
         if self.env.backend != "library":
             substeps_of(task.control_dt, task.robot)

@@ -47,6 +47,12 @@ WRONG = {
     "+reward.terms.x._target_=own_terms.Rising +reward.terms.y._target_=own_terms.Doubling": [
         "reward.terms.y and reward.terms.x remember different things by the name 'shared'"
     ],
+    "+task.terminations.x._target_=own_terms.UnmirroredClock": ["task.terminations.x: clock_mirror", "each of the 2"],
+    "+reward.terms.x._target_=own_terms.OnLegs": ["size must be a number, feet, joints or actions, got 'legs'"],
+    # That it ends.
+    "task.terminations.time_limit=null": ["task.terminations must hold a gctd3.TimeLimit", "got none"],
+    # How it is added.
+    "reward.terms.x._target_=gctd3.Living": ["Unknown key 'reward.terms.x'. To add it: +reward.terms.x._target_=..."],
     # Where it runs.
     "env.backend=library": ["env.backend must be batched or dm_control for walk, got library"],
     "task=ant env.backend=batched": ["env.backend must be library for Ant-v5, got batched"],

@@ -116,10 +116,12 @@ def test_a_worker_on_ray_acts_with_the_weights_that_it_is_sent(robot):
 
     RaySettings(workers=1).check_here(5)
     try:
-        worker, weights = check_that_it_acts_with_the_weights_that_it_is_sent(RayWorker, robot)
+        worker, _ = check_that_it_acts_with_the_weights_that_it_is_sent(RayWorker, robot)
+        actors = list(worker._collector.remote_collectors)
         worker.kill()
+        assert len(actors) == 1 and worker._collector.remote_collectors == []
         with pytest.raises(ray.exceptions.RayActorError):
-            worker.next(weights)
+            ray.get(actors[0].__ray_call__.remote(lambda actor: 0))
         worker.close()
     finally:
         ray.shutdown()
@@ -148,7 +150,7 @@ train.main()
 def test_a_cluster_starts_by_itself_and_its_workers_are_replaced(tmp_path):
     run = tmp_path / "run"
     code = STRIKING.format(arguments=tiny(run, *RAY, "collector.timeout=10"))
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     assert "Worker 0 failed" in done.stderr and "Worker 1 has delivered nothing for 10 s" in done.stderr
     assert done.stderr.count("another takes its place") == 2

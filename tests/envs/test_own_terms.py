@@ -14,6 +14,8 @@ from torchrl.envs.utils import check_env_specs
 import gctd3
 from gctd3.envs import dmc
 from gctd3.envs.checkpointing import env_state, load_env_state
+from gctd3.envs.gym import BipedEnv
+from gctd3.errors import ConfigError
 from gctd3.files import load_tree, save_tree
 from gctd3.runs.load import load_run
 from gctd3.tasks.commands import UniformCommand
@@ -172,3 +174,16 @@ def test_a_run_of_it_is_trained_resumed_judged_and_exported(tmp_path):
 
 FEWEST = ["perturbations.masses=[1.2]", "perturbations.frictions=[]", "perturbations.delays=[]"]
 FEWEST += ["perturbations.impulses=[5]", "perturbations.phases=1", "perturbations.starts=1"]
+
+
+def test_the_history_of_a_task_is_its_own_unless_asked_for():
+    task = gctd3.WalkSettings(history=2)
+    assert gctd3.make_env("biped", num_envs=2, task=task).reset()["nodes"].shape == (2, 8, 4)
+    assert gctd3.make_env("biped", num_envs=2, task=task, history=3).reset()["nodes"].shape == (2, 8, 6)
+    assert BipedEnv(task=task).reset()[0].shape == (8, 4)
+    assert BipedEnv().reset()[0].shape == (8, 10)
+
+
+def test_names_of_terms_are_text():
+    with pytest.raises(ConfigError, match=r"terms: the names of terms must be text, got 1"):
+        gctd3.Reward(terms={1: gctd3.Living()})

@@ -18,7 +18,7 @@ def live(name="biped", endless=False, **settings):
     still = torch.tensor(-(high + low) / (high - low) if name == "biped" else 0 * low, dtype=torch.float32)
     stand = TensorDictModule(lambda nodes: still.expand(*nodes.shape[:-2], -1), ["nodes"], ["action"])
     task = walking(robot, **settings)
-    return LiveWalk(stand, task.endless() if endless else task, seed=5)
+    return LiveWalk(stand, task.without_end() if endless else task, seed=5)
 
 
 def momentum(walk):
