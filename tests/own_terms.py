@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from gctd3.tasks.features import NodeFeature, Reading
-from gctd3.tasks.terms import Remembered, RewardTerm, Termination
+from gctd3.tasks.terms import Command, Randomisation, Remembered, RewardTerm, Termination
 
 # Right ones: follow a speed that is commanded, sense it, and end when it was missed for too long.
 
@@ -180,3 +180,39 @@ class OnLegs(Remembers):
 
     def remembers(self):
         return (Remembered("on_legs", ("legs",), 0.0, _rising),)
+
+
+@dataclass(frozen=True)
+class NotFinite(RewardTerm):
+    """Divide by a speed that a standing robot does not have."""
+
+    def __call__(self, step):
+        return step.xp.zeros_like(step.now.velocity) / step.now.velocity
+
+
+@dataclass(frozen=True)
+class ShortPose(Randomisation):
+    """Return a pose that is too short."""
+
+    def __call__(self, rng, robot, qpos, qvel):
+        return qpos[:1], qvel
+
+
+@dataclass(frozen=True)
+class NoPose(Randomisation):
+    """Forget to return."""
+
+    def __call__(self, rng, robot, qpos, qvel):
+        qpos[0] = 0.0
+
+
+@dataclass(frozen=True)
+class FlatCommand(Command):
+    """Draw a number for each robot, and not a row."""
+
+    @property
+    def size(self):
+        return 1
+
+    def __call__(self, rng, count):
+        return rng.random(count)

@@ -77,7 +77,13 @@ class EpisodeMemory:
     def _drawn(self, name: str, command: Command, shape: tuple[int, ...], rng: Generator | None) -> Memory:
         if rng is None:
             raise ValueError(f"The command {name!r} is drawn at random: begin and advance need a generator.")
-        drawn = command(rng, int(np.prod(shape, dtype=int))).reshape(*shape, command.size)
+        count = int(np.prod(shape, dtype=int))
+        drawn = np.asarray(command(rng, count))
+        if drawn.shape != (count, command.size):
+            raise ConfigError(
+                f"task.commands.{name} must draw {[count, command.size]} numbers, got {list(drawn.shape)}."
+            )
+        drawn = drawn.reshape(*shape, command.size)
         left = max(1, round(command.every / self.facts.control_dt))
         return {f"{COMMAND}{name}": drawn, f"{COMMAND}{name}.left": np.full(shape, left, dtype=np.int64)}
 

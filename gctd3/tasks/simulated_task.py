@@ -139,6 +139,14 @@ class SimulatedTask:
         zeros = np.zeros((*batch, model.nv)), np.zeros((*batch, model.nsensordata))
         now = self.measure(np.broadcast_to(robot.standing_qpos, (*batch, model.nq)), *zeros)
         rng = np.random.default_rng(0)
+        for name, randomise in self.randomisations.items():
+            drawn = randomise(rng, robot, robot.start_qpos.copy(), np.zeros(model.nv))
+            shapes = [np.shape(values) for values in drawn] if isinstance(drawn, tuple) else type(drawn).__name__
+            if shapes != [(model.nq,), (model.nv,)] or not all(np.isfinite(values).all() for values in drawn):
+                raise ConfigError(
+                    f"task.randomisations.{name} must return finite qpos [{model.nq}] and qvel [{model.nv}], got "
+                    f"{shapes}."
+                )
         first = self.begin(now, rng)
         self.table.check(Sensed(now, first, self.facts))
         nothing = np.zeros((*batch, self.facts.actions)), np.zeros(batch, dtype=bool)
@@ -150,12 +158,13 @@ class SimulatedTask:
             held = {where: reading(where, term, step) for where, term in ended.items()}
             step = replace(step, ended=dict(zip(self.terminations, held.values(), strict=True)))
             paid = {f"reward.terms.{n}": reading(f"reward.terms.{n}", term, step) for n, term in self.terms.items()}
-        for values, kinds, asked in ((held, "b", "true or false"), (paid, "fiu", "a number")):
+        for values, kinds, asked in ((held, "b", "true or false"), (paid, "fiu", "a finite number")):
             for where, value in values.items():
-                if np.shape(value) != batch or np.asarray(value).dtype.kind not in kinds:
+                given = np.asarray(value)
+                if given.shape != batch or given.dtype.kind not in kinds or not np.isfinite(given).all():
                     raise ConfigError(
-                        f"{where} must return {asked} for each robot, shape {list(batch)}, got "
-                        f"{list(np.shape(value))} {np.asarray(value).dtype}."
+                        f"{where} must return {asked} for each robot, shape {list(batch)}, got {list(given.shape)} "
+                        f"{given.dtype}{'' if np.isfinite(given).all() else ' that is not finite'}."
                     )
         for where, term in ended.items():
             clock, (source, sign) = term.clock(first, self.facts, self.time_limit), term.clock_mirror(self.facts)

@@ -280,9 +280,10 @@ class Trainer:
                 save_tree(aside / f"{name}.safetensors", batch.to_dict())
             save_tree(aside / STATE, self.state_dict())
             write_manifest(aside, {"error": said})
+        advice = "try a lower algo.learning_rate" if self.counters.updates else "look for it in the terms of the task"
         return NumericalError(
             f"{said} The last batch and the whole state are in {target} (gctd3.files.load_tree reads them). "
-            "The newest checkpoint is of an earlier moment; try a lower algo.learning_rate."
+            f"The newest checkpoint is of an earlier moment; {advice}."
         )
 
     def _postfix(self, row: Mapping[str, float]) -> dict[str, str]:

@@ -39,8 +39,12 @@ WRONG = {
     # What it returns.
     "+task.features.x._target_=own_terms.OfWheels": ["task.features.x", "'wheel'", "kinds: root, base, joint, ground"],
     "+task.features.x._target_=own_terms.TooWide": ["task.features.x must return", "[2, 1, 1], got [2, 1, 2]"],
-    "+reward.terms.x._target_=own_terms.OneForAll": ["reward.terms.x must return a number", "shape [2], got []"],
+    "+reward.terms.x._target_=own_terms.OneForAll": ["reward.terms.x must return a finite number", "shape [2], got []"],
     "+task.terminations.x._target_=own_terms.Numbers": ["task.terminations.x must return true or false", "float64"],
+    "+reward.terms.x._target_=own_terms.NotFinite": ["reward.terms.x must return a finite number", "is not finite"],
+    "+task.randomisations.x._target_=own_terms.ShortPose": ["task.randomisations.x must return finite qpos [", "(1,)"],
+    "+task.randomisations.x._target_=own_terms.NoPose": ["task.randomisations.x must return", "got NoneType"],
+    "+task.commands.x._target_=own_terms.FlatCommand": ["task.commands.x must draw [2, 1] numbers, got [2]"],
     # What it remembers.
     "+reward.terms.x._target_=own_terms.WrongShape": ["reward.terms.x must remember 'sums' as [2, 2]", "got [2]"],
     "+reward.terms.x._target_=own_terms.OtherType": ["reward.terms.x must remember 'halves'", "int64, got", "float64"],
