@@ -9,7 +9,7 @@ import subprocess
 import sys
 import uuid
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -45,9 +45,9 @@ def test_readme_python_runs(exported, monkeypatch):
 @pytest.mark.parametrize("backend", ["batched", "dm_control"])
 def test_readmes_reward_term_is_trained_with(backend, tmp_path, monkeypatch):
     text = next(text for language, text in BLOCKS if language == "python" and "class Hurry" in text)
-    (tmp_path / "my_package.py").write_text(text)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(sys.modules, "my_package", importlib.import_module("my_package"))
+    # Another test may have imported another module of this name.
+    monkeypatch.setitem(sys.modules, "my_package", ModuleType("my_package"))
+    exec(text, vars(sys.modules["my_package"]))
     keys = re.findall(r"`(\+reward[^`]*)`", README)
     assert len(keys) == 2
     train(tmp_path / "run", f"env.backend={backend}", *keys)
