@@ -53,3 +53,4 @@ class RayWorker(Worker):
         """Let the actor end."""
         with contextlib.suppress(Exception):
             self._collector.shutdown()
+        self.kill()  # if that failed before it came to the actor
