@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Literal
 
-from gctd3.errors import check_seed
+from gctd3.errors import ConfigError, check_seed
 
 if TYPE_CHECKING:
     from gctd3.robots.graph import KinematicGraph
@@ -14,12 +14,42 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class ServoSettings:
+    """Hold the settings of a joint's position servo; ``None`` takes the value of the file, else a derived one.
+
+    Attributes:
+        stiffness: Torque per radian between the desired angle and the joint's (N m/rad).
+        damping: Torque per unit of the joint's velocity (N m s/rad).
+        effort: Largest torque (N m).
+        armature: Inertia of the rotor, reflected to the joint (kg m^2).
+        velocity_limit: Velocity at which no torque is left (rad/s).
+    """
+
+    stiffness: float | None = None
+    damping: float | None = None
+    effort: float | None = None
+    armature: float | None = None
+    velocity_limit: float | None = None
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            least = entry.name in ("damping", "armature")
+            if value is not None and not (value >= 0 if least else value > 0):
+                raise ConfigError(f"{entry.name} must be {'at least' if least else 'above'} 0, got {value}.")
+
+
+@dataclass(frozen=True)
 class RobotSettings:
     """Hold the settings of the robot and of the graph over it.
 
     Attributes:
-        name: Robot that ships with gctd3, or the path of an MJCF file (robot=my.xml says the same); unused by a
-            library's task, which brings its own.
+        name: Robot that ships with gctd3; the path of an MJCF or URDF file (robot=my.xml says the same);
+            ``menagerie:NAME``; ``description:MODULE``; or ``PACKAGE:PATH`` of a file of an installed package. Unused by
+            a library's task, which brings its own.
+        sources: Places of the robot's file, each as ``name`` would say it; the first that is installed is read, and
+            ``name`` is then but a name.
+        source: The one of ``sources`` to read, or the package of one; ``None`` for the first that is installed.
         graph: Edges between its nodes: ``tree`` (the paper's), ``authors`` (the released script's), ``edgeless``,
             ``complete`` or ``random``.
         graph_seed: Seed of graph=random.
@@ -27,6 +57,14 @@ class RobotSettings:
             stands on.
         forward: Forward direction among the axes of the world: x, -x, y or -y; ``None`` for that of its slide, or else
             the one for which its left and right sides are equal.
+        root: Root body of the robot, for a file that holds several robots; ``None`` where there is one.
+        pose: Key of the file in which the robot stands; ``None`` for ``stand``, ``home``, or else one that stands, or
+            else a pose that is found.
+        hold: Patterns (``*`` and ``?``) of joints that walking does not need: they are fixed in the standing pose.
+        servos: Servos by pattern of joints, of which the first that fits counts.
+        action_scale: Change of the desired angle from the standing pose by an action of 1 (rad), one number or one by
+            pattern of joints; ``range`` maps actions onto the servos' ranges (the paper's Table 2) instead. ``None``
+            derives it from effort and stiffness where the base is free, and stands for ``range`` on other bases.
     """
 
     name: str = "biped"
@@ -34,6 +72,13 @@ class RobotSettings:
     graph_seed: int = 0
     feet: Sequence[str] | None = None
     forward: Literal["x", "-x", "y", "-y"] | None = None
+    sources: Sequence[str] = ()
+    source: str | None = None
+    root: str | None = None
+    pose: str | None = None
+    hold: Sequence[str] = ()
+    servos: Mapping[str, ServoSettings] = field(default_factory=dict)
+    action_scale: float | str | Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         check_seed("graph_seed", self.graph_seed)
