@@ -22,7 +22,7 @@ import gctd3
 from gctd3.errors import ContractError
 from gctd3.files import seal
 
-FORMAT = 1
+FORMAT = 2
 CHECKSUM = "sha256"  # key of the checksum over the rest of the JSON
 ROBOT, ROBOT_HASH = "gctd3.robot", "gctd3.robot_sha256"  # metadata of the ONNX file
 
@@ -62,8 +62,10 @@ class Servo:
     Attributes:
         actuator: Name of the actuator.
         joint: Name of the joint that it drives.
-        low_rad: Desired angle at an action of -1.
-        high_rad: Desired angle at an action of 1; in between it is linear.
+        low_rad: Smallest desired angle.
+        high_rad: Largest desired angle.
+        centre_rad: Desired angle at an action of 0.
+        scale_rad: Change of the desired angle by an action of 1; it is linear, and stays between the limits.
         start_rad: Angle of the joint at the start of episodes.
         most_change_rad: Largest change of the desired angle from one control step to the next.
         kp_nm_per_rad: Position gain ``kp``; the torque is ``kp (desired - angle) - kd velocity``.
@@ -76,6 +78,8 @@ class Servo:
     joint: str
     low_rad: float
     high_rad: float
+    centre_rad: float
+    scale_rad: float
     start_rad: float
     most_change_rad: float
     kp_nm_per_rad: float
@@ -159,12 +163,16 @@ class Contract:
         widths = {len(node.features) * self.history_frames for node in self.nodes}
         shape = (len(self.nodes), *widths)
         names = self.readings
-        ordered = all(s.low_rad <= s.start_rad <= s.high_rad and s.most_change_rad >= 0 for s in self.servos)
+        ordered = all(
+            s.low_rad <= angle <= s.high_rad and s.most_change_rad >= 0 and s.scale_rad > 0
+            for s in self.servos
+            for angle in (s.start_rad, s.centre_rad)
+        )
         for right, said in (
             (shape == self.network.input_shape, f"nodes and history_frames make {shape}, not network.input_shape"),
             (len(set(names)) == len(names), "two features have one reading"),
             (self.control_rate_hz > 0 and self.history_frames > 0, "control_rate_hz and history_frames are above 0"),
-            (bool(self.servos) and ordered, "servos have low_rad <= start_rad <= high_rad and most_change_rad >= 0"),
+            (bool(self.servos) and ordered, "servos have start_rad and centre_rad between low_rad and high_rad, scale_rad > 0, most_change_rad >= 0"),
         ):
             if not right:
                 raise ContractError(f"The contract contradicts itself: {said}.")

@@ -62,6 +62,7 @@ class Policy:
         self._session = _open(file, self.contract)
         servos = self.contract.servos
         self._low, self._high = np.array([[servo.low_rad, servo.high_rad] for servo in servos]).T
+        self._centre, self._scale = np.array([[servo.centre_rad, servo.scale_rad] for servo in servos]).T
         self._start = np.array([servo.start_rad for servo in servos])
         self._most = np.array([servo.most_change_rad for servo in servos])
         features = [(i, k, f) for i, n in enumerate(self.contract.nodes) for k, f in enumerate(n.features) if f.reading]
@@ -110,8 +111,7 @@ class Policy:
         action = self._run(nodes)
         if not np.isfinite(action).all():
             raise self._refuse(f"The policy's output is not finite: {action.tolist()}.")
-        middle, half = (self._high + self._low) / 2, (self._high - self._low) / 2
-        desired = np.clip(middle + half * action.astype(np.float64), self._low, self._high)
+        desired = np.clip(self._centre + self._scale * action.astype(np.float64), self._low, self._high)
         allowed = np.clip(desired, self._desired - self._most, self._desired + self._most)
         self.limited += int((allowed != desired).any())
         self._frames, self._time, self._desired = stack, time, allowed

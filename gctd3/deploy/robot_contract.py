@@ -93,11 +93,14 @@ def _servo(robot: Robot, index: int, most_change: float) -> Servo:
     if model.jnt_actfrclimited[joint.id]:
         limits.append(float(np.abs(model.jnt_actfrcrange[joint.id]).max()))
     low, high = (float(limit) for limit in robot.action_range[index])
+    centre, scale = (float(values[index]) for values in robot.action_map)
     return Servo(
         actuator=name,
         joint=joint.name,
         low_rad=low,
         high_rad=high,
+        centre_rad=centre,
+        scale_rad=scale,
         start_rad=float(np.clip(robot.start_qpos[joint.qpos], low, high)),
         most_change_rad=most_change,
         kp_nm_per_rad=gain,

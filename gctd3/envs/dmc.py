@@ -52,8 +52,6 @@ class DMTask(base.Task):
         self._now: Measurement
         self._memory: Memory
         self._outcome: Outcome | None = None
-        low, high = task.robot.action_range.T
-        self._middle, self._half = (high + low) / 2, (high - low) / 2
 
     def initialize_episode(self, physics: Physics) -> None:
         """Put the robot into the start pose and velocities of an episode."""
@@ -68,14 +66,14 @@ class DMTask(base.Task):
         self._outcome = None
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
-        """Return the spec of the actions: one desired joint angle per actuator, in [-1, 1] of its range."""
+        """Return the spec of the actions: one desired joint angle per actuator, in [-1, 1]."""
         names = "\t".join(self.task.robot.action_names)
-        return specs.BoundedArray((len(self._half),), np.float64, -1.0, 1.0, name=names)
+        return specs.BoundedArray((len(self.task.robot.actuated),), np.float64, -1.0, 1.0, name=names)
 
     def before_step(self, action: np.ndarray, physics: Physics) -> None:
-        """Map the action onto the servos' ranges."""
+        """Command the desired angles of the action."""
         self._action = action
-        physics.set_control(self._middle + self._half * np.clip(action, -1.0, 1.0))
+        physics.set_control(self.task.robot.desired_angles(action))
 
     def after_step(self, physics: Physics) -> None:
         """Measure the robot and evaluate the step."""

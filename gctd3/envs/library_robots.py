@@ -127,7 +127,7 @@ class LibraryRobots(RobotsEnv):
     def glance(self) -> Glance:
         """Return the present measurements of the robots; ball joints are not hips."""
         robot, graph, half = self.sensor.robot, self.sensor.graph, self.sensor.features // 2
-        hips = [graph.nodes.index(leg[0].name) for leg in robot.legs]
+        hips = [graph.nodes.index(hip.name) for hip in robot.hips]
         node, place = foot_slots(robot).T
         # The second of a ground node's two contacts is in the velocities' half.
         return Glance(

@@ -51,8 +51,6 @@ class Simulation:
         self.num_robots = num_robots
         self.substeps = substeps_of(task.control_dt, task.robot)
         self.rng = np.random.default_rng(seed)
-        low, high = task.robot.action_range.T
-        self._middle, self._half = (high + low) / 2, (high - low) / 2
         nq, nv = self.model.nq, self.model.nv
         spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
         self.state = np.zeros((num_robots, mujoco.mj_stateSize(self.model, spec.value)))
@@ -101,7 +99,7 @@ class Simulation:
         self.memory = put_rows(self.memory, robots, task.begin(fresh, self.rng))
 
     def step(self, action: np.ndarray) -> Outcome:
-        """Take one control step of every robot; ``action [N, A]`` in [-1, 1] maps affinely onto the servos' ranges.
+        """Take one control step of every robot; ``action [N, A]`` in [-1, 1] asks for :meth:`.Robot.desired_angles`.
 
         A robot whose simulation fails stays where it was, and its episode ends as by a fall.
 
@@ -131,8 +129,8 @@ class Simulation:
         return outcome
 
     def desired(self, action: np.ndarray) -> np.ndarray:
-        """Return the desired joint angles of an action ``[*, A]`` in [-1, 1], shape ``[*, A]`` (rad)."""
-        return self._middle + self._half * np.clip(action, -1.0, 1.0)
+        """Return the desired joint angles of an action ``[*, A]``, shape ``[*, A]`` (rad)."""
+        return self.task.robot.desired_angles(action)
 
     def trail(self) -> np.ndarray:
         """Return the full physics states through the last control step, its beginning and end included.

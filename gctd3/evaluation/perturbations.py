@@ -59,8 +59,8 @@ def resting_action(robot: Robot) -> torch.Tensor:
     """Return the action that commands the servos to the pose in which episodes begin, shape ``[A]``, in [-1, 1]."""
     model = robot.model
     angles = robot.start_qpos[model.jnt_qposadr[model.actuator_trnid[:, 0]]] * model.actuator_gear[:, 0]
-    low, high = robot.action_range.T
-    action = np.clip((angles - (low + high) / 2) / ((high - low) / 2), -1.0, 1.0)
+    centre, scale = robot.action_map
+    action = np.clip((angles - centre) / scale, -1.0, 1.0)
     return torch.from_numpy(action.astype(np.float32))
 
 

@@ -175,7 +175,7 @@ def leg_length(robot: Robot) -> float:
     mujoco.mj_kinematics(model, data)
     geoms = [geom for foot in robot.feet for geom in colliding_geoms(model, model.body(foot).id)]
     ground = lowest_point(model, data, geoms)
-    return float(np.mean([data.xanchor[leg[0].id][2] for leg in robot.legs]) - ground)
+    return float(np.mean([data.xanchor[hip.id][2] for hip in robot.hips]) - ground)
 
 
 def total_mass(robot: Robot) -> float:

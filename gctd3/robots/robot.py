@@ -18,8 +18,10 @@ from gctd3.robots.actuators import check_servos
 from gctd3.robots.feet import find_feet, named_feet
 from gctd3.robots.floating_base import AXES, Axis, Base, find_forward
 from gctd3.robots.mirror_pairs import count_reflected, pair_joints, reflected_sign, swap_side
-from gctd3.robots.mjcf import Joint, body_name, load_mjcf, read_actuated, read_joints, root_body
+from gctd3.robots.mjcf import Joint, body_name, colliding_geoms, load_mjcf, read_actuated, read_joints, root_body
 from gctd3.robots.standing_pose import check_standing, find_standing, find_start
+
+_LATERAL = 0.7  # least component across the body of the axis of a hip that swings the leg forwards
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,8 @@ class Robot:
         actuated: For each actuator of a joint, in order, the name of the joint that it drives.
         feet: Names of the bodies that may touch the ground.
         forward_axis: Forward direction: ``x``, ``-x``, ``y`` or ``-y`` of the world.
+        action_scale: Change of each desired angle from the standing pose by an action of 1 (rad); ``None`` if actions
+            are mapped onto the servos' ranges.
     """
 
     model: mujoco.MjModel
@@ -45,6 +49,7 @@ class Robot:
     actuated: tuple[str, ...]
     feet: tuple[str, ...]
     forward_axis: Axis = "x"
+    action_scale: tuple[float, ...] | None = None
 
     @classmethod
     def from_mjcf(
@@ -139,6 +144,31 @@ class Robot:
         return self.model.actuator_ctrlrange.copy()
 
     @cached_property
+    def action_map(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the desired angle of each actuator at an action of 0, and its change by an action of 1. Each ``[A]``.
+
+        Without :attr:`action_scale` [-1, 1] is mapped onto the servos' ranges, affinely (Table 2 of the paper). With it
+        an action of 0 holds the standing pose.
+        """
+        low, high = self.action_range.T
+        if self.action_scale is None:
+            return (high + low) / 2, (high - low) / 2
+        home = self.start_qpos[[self.joint(name).qpos for name in self.actuated]]
+        return np.clip(home, low, high), np.array(self.action_scale)
+
+    def desired_angles(self, action: np.ndarray) -> np.ndarray:
+        """Compute the desired joint angles (rad) of actions in [-1, 1], each of shape ``[*, A]``.
+
+        Larger actions count as 1, and no angle leaves the servo's range.
+        """
+        centre, scale = self.action_map
+        desired = centre + scale * np.clip(action, -1.0, 1.0)
+        if self.action_scale is None:
+            return np.asarray(desired)
+        low, high = self.action_range.T
+        return np.asarray(np.clip(desired, low, high))
+
+    @cached_property
     def legs(self) -> tuple[tuple[Joint, ...], ...]:
         """Return for each foot the joints from the root down to it."""
         chains = []
@@ -153,10 +183,44 @@ class Robot:
         return tuple(chains)
 
     @cached_property
+    def hips(self) -> tuple[Joint, ...]:
+        """Return for each foot the hip: the first joint of its own leg that swings the foot forwards and backwards.
+
+        A joint swings the foot forwards if that is the largest part of the foot's motion, as the robot stands: neither
+        abduction nor yaw does so, nor does a waist, which other legs share. A leg without such a joint has its
+        first own joint for a hip.
+        """
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = self.standing_qpos
+        mujoco.mj_kinematics(self.model, data)
+        hips, frame = [], self.base.frame
+        for i, (foot, leg) in enumerate(zip(self.feet, self.legs, strict=True)):
+            shared = {joint.name for k, other in enumerate(self.legs) if k != i for joint in other}
+            own = [joint for joint in leg if joint.name not in shared] or list(leg)
+            place = self._centre(data, foot)
+
+            def swings(joint: Joint, place: np.ndarray = place) -> bool:
+                axis = data.xaxis[joint.id]
+                motion = np.cross(axis, place - data.xanchor[joint.id]) if joint.kind == "hinge" else axis
+                along = np.abs(frame @ motion)
+                # Of an axis across the body the foot moves in the sagittal plane, and under the hip mostly forwards.
+                lateral = joint.kind != "hinge" or abs(float(frame[1] @ axis)) > _LATERAL
+                return bool(lateral and along[0] > along[1])
+
+            hips.append(next((joint for joint in own if swings(joint)), own[0]) if own else None)
+        return tuple(hip for hip in hips if hip is not None)
+
+    def _centre(self, data: mujoco.MjData, body: str) -> np.ndarray:
+        """Return the mean place of a body's colliding geoms, or the body's own (m, in the world)."""
+        index = self._bodies[body]
+        geoms = colliding_geoms(self.model, index)
+        return np.asarray(data.geom_xpos[geoms].mean(axis=0) if geoms else data.xpos[index])
+
+    @cached_property
     def hip_signs(self) -> np.ndarray:
         """Return the sign of each hip's angle relative to its mirror image, if that comes first, else 1. ``[feet]``."""
         mirrored = self.mirror_feet
-        return np.array([self.mirror_sign(leg[0].name) if mirrored[i] < i else 1.0 for i, leg in enumerate(self.legs)])
+        return np.array([self.mirror_sign(hip.name) if mirrored[i] < i else 1.0 for i, hip in enumerate(self.hips)])
 
     def _joints_above(self, body: str) -> list[Joint]:
         index = self._bodies[body]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Literal
 
 from gctd3.errors import ConfigError, check_seed
@@ -89,9 +89,11 @@ class RobotSettings:
         Raises:
             RobotError: If it cannot be used.
         """
+        from gctd3.robots.action_scale import find_action_scale
         from gctd3.robots.robot import Robot
 
-        return Robot.from_mjcf(self.name, self.feet if feet is None else feet, self.forward)
+        robot = Robot.from_mjcf(self.name, self.feet if feet is None else feet, self.forward)
+        return replace(robot, action_scale=find_action_scale(robot, self.action_scale))
 
     def graph_of(self, robot: Robot) -> KinematicGraph:
         """Build the graph over a robot."""
