@@ -31,6 +31,12 @@ _HOME = {
 }
 # What the ``_target_`` of a YAML may name of gctd3. Configurations of runs hold these names, so they outlive moves.
 _TARGETS = {
+    "ActionRate": "gctd3.tasks.motor_terms",
+    "Effort": "gctd3.tasks.motor_terms",
+    "EndStops": "gctd3.tasks.motor_terms",
+    "HomePose": "gctd3.tasks.motor_terms",
+    "FootSlip": "gctd3.tasks.motor_terms",
+    "HeightFromStanding": "gctd3.tasks.motor_terms",
     "Antiphase": "gctd3.tasks.reward_terms",
     "BaseCoordinate": "gctd3.tasks.features",
     "BaseRate": "gctd3.tasks.features",

@@ -19,6 +19,7 @@ def sense(y=0.0, z=0.0, v=0.0, hips=(0.1, -0.1), feet=(True, False), other=False
         other_down=np.array(other),
         base=np.zeros((0, 2)),
         tilt=np.array(0.0),
+        feet_velocity=np.zeros((0, 3)),
     )
 
 
@@ -48,6 +49,7 @@ def random_walk(rng, steps, shape):
             other_down=rng.uniform(size=shape) < 0.05,
             base=np.zeros((*shape, 0, 2)),
             tilt=np.zeros(shape),
+            feet_velocity=np.zeros((*shape, 0, 3)),
         )
         for _ in range(steps)
     ]

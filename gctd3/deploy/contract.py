@@ -35,11 +35,13 @@ class Feature:
         reading: Name of the reading that gives its value; ``None`` if it is always 0.
         meaning: Meaning of the reading.
         binary: Whether its value is 0 or 1.
+        zero: Value of the reading at which the feature is 0: the network sees the difference.
     """
 
     reading: str | None
     meaning: str
     binary: bool = False
+    zero: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -172,7 +174,10 @@ class Contract:
             (shape == self.network.input_shape, f"nodes and history_frames make {shape}, not network.input_shape"),
             (len(set(names)) == len(names), "two features have one reading"),
             (self.control_rate_hz > 0 and self.history_frames > 0, "control_rate_hz and history_frames are above 0"),
-            (bool(self.servos) and ordered, "servos have start_rad and centre_rad between low_rad and high_rad, scale_rad > 0, most_change_rad >= 0"),
+            (
+                bool(self.servos) and ordered,
+                "start_rad and centre_rad lie between low_rad and high_rad; scale_rad > 0; most_change_rad >= 0",
+            ),
         ):
             if not right:
                 raise ContractError(f"The contract contradicts itself: {said}.")

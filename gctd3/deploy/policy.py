@@ -69,6 +69,7 @@ class Policy:
         self._names = self.contract.readings
         self._node, self._feature = np.array([[i, k] for i, k, _ in features]).T
         self._binary = np.array([f.binary for _, _, f in features])
+        self._zero = np.array([f.zero for _, _, f in features])
         self.reset()
 
     def reset(self) -> None:
@@ -124,10 +125,13 @@ class Policy:
             missing = ", ".join(name for name in self._names if name not in given) or "none"
             extra = ", ".join(sorted(map(str, given - names))) or "none"
             raise self._refuse(f"The readings do not fit the contract: missing {missing}; unknown {extra}.")
-        values = np.array([_number(readings[name]) for name in self._names], dtype=np.float32)
+        exact = np.array([_number(readings[name]) for name in self._names], dtype=np.float64)
+        # A number beyond float32 becomes infinite, and is refused as such.
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = (exact - self._zero).astype(np.float32)
         for wrong, expected in (
             (~np.isfinite(values), "a finite number"),
-            (self._binary & (values != 0.0) & (values != 1.0), "0 or 1"),
+            (self._binary & (exact != 0.0) & (exact != 1.0), "0 or 1"),
         ):
             if wrong.any():
                 name = self._names[int(wrong.argmax())]

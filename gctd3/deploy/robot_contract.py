@@ -10,6 +10,7 @@ import numpy as np
 from gctd3.deploy.contract import FORMAT, Contract, Feature, NetworkFile, Node, RobotIdentity, Servo, robot_hash
 from gctd3.errors import RobotError
 from gctd3.nn.actor import ACTION, NODES
+from gctd3.robots.actuators import torque_limit
 from gctd3.robots.robot import Robot
 from gctd3.tasks.simulated_task import SimulatedTask
 
@@ -70,7 +71,9 @@ def sensed(task: SimulatedTask) -> tuple[Node, ...]:
     return tuple(
         Node(
             name,
-            tuple(nothing if r is None else Feature(r.name, r.meaning, r.quantity == "contact") for r in readings),
+            tuple(
+                nothing if r is None else Feature(r.name, r.meaning, r.quantity == "contact", r.zero) for r in readings
+            ),
         )
         for name, readings in zip(task.graph.nodes, task.table.readings, strict=True)
     )
@@ -87,11 +90,7 @@ def _servo(robot: Robot, index: int, most_change: float) -> Servo:
             f"{robot.path}: actuator {name!r} must be a <position> servo with a gear of 1 to be exported: a robot is "
             "told desired joint angles."
         )
-    limits = []
-    if model.actuator_forcelimited[index]:
-        limits.append(float(np.abs(model.actuator_forcerange[index]).max()))
-    if model.jnt_actfrclimited[joint.id]:
-        limits.append(float(np.abs(model.jnt_actfrcrange[joint.id]).max()))
+    effort = torque_limit(robot, index)
     low, high = (float(limit) for limit in robot.action_range[index])
     centre, scale = (float(values[index]) for values in robot.action_map)
     return Servo(
@@ -105,7 +104,7 @@ def _servo(robot: Robot, index: int, most_change: float) -> Servo:
         most_change_rad=most_change,
         kp_nm_per_rad=gain,
         kd_nm_s_per_rad=float(-bias[2]),
-        effort_nm=min(limits, default=None),
+        effort_nm=effort if np.isfinite(effort) else None,
         time_constant_s=float(model.actuator_dynprm[index, 0]) if filtered else 0.0,
     )
 

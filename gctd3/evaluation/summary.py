@@ -11,7 +11,7 @@ import numpy as np
 
 from gctd3.evaluation import effort, gait_metrics
 from gctd3.evaluation.episode import Episode
-from gctd3.evaluation.recorder import Motion, leg_length, total_mass
+from gctd3.evaluation.recorder import Motion, total_mass
 from gctd3.robots.robot import Robot
 
 # Metrics that only a gait with strides has; `null` for other gaits.
@@ -163,7 +163,7 @@ def summarize(episodes: Sequence[Episode], robot: Robot, dt: float) -> dict[str,
     gaits = [Gait(e, e.motion, robot, dt) for e in far if e.motion is not None]
     if not gaits:
         return {}
-    mass, leg = total_mass(robot), leg_length(robot)
+    mass, leg = total_mass(robot), robot.leg_length
     periodic = [gait for gait in gaits if gait.periodic]
     found: dict[str, float | None] = {
         **_averages([gait.of_time(mass, leg) for gait in gaits]),

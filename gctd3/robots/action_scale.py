@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from gctd3.errors import ConfigError, suggest
+from gctd3.robots.actuators import torque_limit
 from gctd3.robots.robot import Robot
 
 MOST = 0.5  # rad, of a scale that is derived
@@ -52,11 +53,5 @@ def find_action_scale(robot: Robot, asked: float | str | Mapping[str, float] | N
 
 
 def _derived(robot: Robot, index: int) -> float:
-    model, joint = robot.model, robot.joint(robot.actuated[index])
-    stiffness, limits = float(model.actuator_gainprm[index, 0]), [np.inf]
-    if model.actuator_forcelimited[index]:
-        limits.append(float(np.abs(model.actuator_forcerange[index]).max()))
-    if model.jnt_actfrclimited[joint.id]:
-        limits.append(float(np.abs(model.jnt_actfrcrange[joint.id]).max()))
-    effort = min(limits)
+    stiffness, effort = float(robot.model.actuator_gainprm[index, 0]), torque_limit(robot, index)
     return float(np.clip(effort / stiffness, LEAST, MOST)) if np.isfinite(effort) and stiffness > 0 else MOST

@@ -4,11 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
+import numpy as np
 
 from gctd3.errors import RobotError
 from gctd3.robots.mjcf import Joint, joint_name
+
+if TYPE_CHECKING:
+    from gctd3.robots.robot import Robot
+
+
+def torque_limit(robot: Robot, index: int) -> float:
+    """Return the largest torque of an actuator (N m), infinite for none: the lower of its own and its joint's limit."""
+    model, joint = robot.model, robot.joint(robot.actuated[index])
+    limits = [np.inf]
+    if model.actuator_forcelimited[index]:
+        limits.append(float(np.abs(model.actuator_forcerange[index]).max()))
+    if model.jnt_actfrclimited[joint.id]:
+        limits.append(float(np.abs(model.jnt_actfrcrange[joint.id]).max()))
+    return min(limits)
 
 
 def check_servos(model: mujoco.MjModel, joints: Sequence[Joint], file: Path) -> None:

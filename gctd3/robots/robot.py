@@ -17,6 +17,7 @@ from gctd3.errors import RobotError
 from gctd3.robots.actuators import check_servos
 from gctd3.robots.feet import find_feet, named_feet
 from gctd3.robots.floating_base import AXES, Axis, Base, find_forward
+from gctd3.robots.geometry import lowest_point
 from gctd3.robots.mirror_pairs import count_reflected, pair_joints, reflected_sign, swap_side
 from gctd3.robots.mjcf import Joint, body_name, colliding_geoms, load_mjcf, read_actuated, read_joints, root_body
 from gctd3.robots.standing_pose import check_standing, find_standing, find_start
@@ -143,6 +144,11 @@ class Robot:
         """Return the lower and upper desired joint angle (rad) of each actuator. Shape ``[A, 2]``."""
         return self.model.actuator_ctrlrange.copy()
 
+    @property
+    def home_angles(self) -> np.ndarray:
+        """Return the angle of each joint in the pose in which episodes begin, shape ``[J]`` (rad); 0 of a ball."""
+        return np.array([0.0 if joint.kind == "ball" else self.start_qpos[joint.qpos] for joint in self.joints])
+
     @cached_property
     def action_map(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the desired angle of each actuator at an action of 0, and its change by an action of 1. Each ``[A]``.
@@ -210,6 +216,15 @@ class Robot:
             hips.append(next((joint for joint in own if swings(joint)), own[0]) if own else None)
         return tuple(hip for hip in hips if hip is not None)
 
+    @cached_property
+    def leg_length(self) -> float:
+        """Return the height of the hips above the ground when standing, the mean over legs (m)."""
+        model, data = self.model, mujoco.MjData(self.model)
+        data.qpos[:] = self.standing_qpos
+        mujoco.mj_kinematics(model, data)
+        geoms = [geom for foot in self.feet for geom in colliding_geoms(model, self._bodies[foot])]
+        return float(np.mean([data.xanchor[hip.id][2] for hip in self.hips]) - lowest_point(model, data, geoms))
+
     def _centre(self, data: mujoco.MjData, body: str) -> np.ndarray:
         """Return the mean place of a body's colliding geoms, or the body's own (m, in the world)."""
         index = self._bodies[body]
@@ -251,6 +266,22 @@ class Robot:
                 '<sensor><contact body1="NAME" geom2="GROUND" data="found"/></sensor>.'
             )
         return np.array([found[body] for body in bodies], dtype=np.int64)
+
+    @cached_property
+    def foot_velocity_sensors(self) -> np.ndarray | None:
+        """Return the indices in ``sensordata`` of each foot's velocity in the world, shape ``[feet, 3]``.
+
+        ``None`` if a foot has no ``<framelinvel objtype="body"/>`` sensor.
+        """
+        model, found = self.model, {}
+        for i in range(model.nsensor):
+            moves = model.sensor_type[i] == mujoco.mjtSensor.mjSENS_FRAMELINVEL
+            body = model.sensor_objtype[i] in (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_XBODY)
+            if moves and body and model.sensor_reftype[i] == mujoco.mjtObj.mjOBJ_UNKNOWN:
+                found[body_name(model, int(model.sensor_objid[i]))] = int(model.sensor_adr[i])
+        if any(foot not in found for foot in self.feet):
+            return None
+        return np.array([found[foot] for foot in self.feet])[:, None] + np.arange(3)
 
     @property
     def other_contact_bodies(self) -> tuple[str, ...]:

@@ -33,12 +33,14 @@ class Reading:
         meaning: Meaning in words.
         quantity: Measured quantity, which determines the size of the sensor's error.
         sign: +1 if the reading keeps its sign in the mirror, -1 if not.
+        zero: Value of the reading at which the feature is 0, in the reading's unit.
     """
 
     name: str
     meaning: str
     quantity: Quantity
     sign: float = 1.0
+    zero: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -169,17 +171,28 @@ class BaseRate(NodeFeature):
 
 @dataclass(frozen=True)
 class JointAngle(NodeFeature):
-    """Measure the angle of each joint (rad)."""
+    """Measure the angle of each joint (rad).
+
+    Attributes:
+        from_home: Measure it from the standing pose, so that joints which stand bent in different ways share weights.
+    """
 
     kind: ClassVar[str] = "joint"
 
+    from_home: bool = False
+
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> list[list[Reading | None]]:
         """Return the readings of the angles, one a node."""
-        return [[Reading(f"angle_{n}_rad", "angle of the joint", "angle", robot.mirror_sign(n))] for n in nodes]
+        home = dict(zip((j.name for j in robot.joints), robot.home_angles, strict=True)) if self.from_home else {}
+        return [
+            [Reading(f"angle_{n}_rad", "angle of the joint", "angle", robot.mirror_sign(n), float(home.get(n, 0.0)))]
+            for n in nodes
+        ]
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """Return the angles, shape ``[*, nodes, 1]``."""
-        return sensed.now.angles[..., sensed.facts.node_joints, None]
+        angles = sensed.now.angles - sensed.facts.home if self.from_home else sensed.now.angles
+        return np.asarray(angles[..., sensed.facts.node_joints, None])
 
 
 @dataclass(frozen=True)

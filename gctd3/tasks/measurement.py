@@ -23,6 +23,8 @@ class Measurement:
         base: The base's other coordinates and their rates in the order of ``robot.base.extra``, from standing, shape
             ``[*, E, 2]`` (rad and rad/s; ``side`` m and m/s); a boom has none (``E = 0``).
         tilt: Angle between the body's vertical and the world's, shape ``[*]`` (rad).
+        feet_velocity: Velocity of each foot in the base's frame of :attr:`.Base.frame`, shape ``[*, feet, 3]`` (m/s);
+            shape ``[*, 0, 3]`` where it is not measured.
     """
 
     position: np.ndarray
@@ -34,6 +36,7 @@ class Measurement:
     other_down: np.ndarray
     base: np.ndarray
     tilt: np.ndarray
+    feet_velocity: np.ndarray
 
     def to_dict(self) -> dict[str, np.ndarray]:
         """Return copies of the arrays, by name."""

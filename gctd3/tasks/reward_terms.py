@@ -12,21 +12,32 @@ from gctd3.errors import ConfigError, check_between
 from gctd3.tasks.gait_memory import AIR_STEPS
 from gctd3.tasks.terms import Array, Remembered, RewardTerm, RobotFacts, Step, recent
 
+GRAVITY = 9.81  # m/s^2, of Froude numbers
+
 
 @dataclass(frozen=True)
 class ForwardVelocity(RewardTerm):
     """Reward forward velocity up to a target: ``weight * min(v, target)`` (Table 3).
 
     Attributes:
-        target: Velocity above which the reward is constant (m/s).
+        target: Velocity above which the reward is constant (m/s); ``None`` for that of :attr:`froude`.
+        froude: Froude number ``v^2 / (g L)`` of the target for legs of length ``L`` (Alexander 1984): animals of all
+            sizes walk below about 0.5. Used where ``target`` is ``None``.
     """
 
-    target: float = 0.9
+    target: float | None = 0.9
+    froude: float = 0.3
+
+    def __post_init__(self) -> None:
+        if not self.froude > 0:
+            raise ConfigError(f"froude must be above 0, got {self.froude}.")
 
     def __call__(self, step: Step) -> Array:
         """Return ``weight * min(v, target)``, shape ``[*]``."""
-        velocity = step.now.velocity
-        return self.weight * step.xp.minimum(velocity, step.xp.asarray(self.target, dtype=velocity.dtype))
+        velocity, target = step.now.velocity, self.target
+        if target is None:
+            target = (self.froude * GRAVITY * step.facts.leg_length) ** 0.5
+        return self.weight * step.xp.minimum(velocity, step.xp.asarray(target, dtype=velocity.dtype))
 
 
 @dataclass(frozen=True)

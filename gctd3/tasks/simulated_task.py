@@ -107,6 +107,7 @@ class SimulatedTask:
         standing = self._base.read(robot.standing_qpos, np.zeros(robot.model.nv))
         self._standing = {name: value for name, (value, _) in standing.items()}
         self._feet = robot.contact_sensors(robot.feet)
+        self._foot_velocities = robot.foot_velocity_sensors
         self._others = robot.contact_sensors(robot.other_contact_bodies)
         self._qpos = np.array([joint.qpos for joint in robot.joints])
         self._qvel = np.array([joint.qvel for joint in robot.joints])
@@ -199,7 +200,13 @@ class SimulatedTask:
             other_down=np.asarray((sensordata.take(self._others, axis=-1) > 0).any(axis=-1)),
             base=base,
             tilt=tilt,
+            feet_velocity=self._feet_velocity(sensordata),
         )
+
+    def _feet_velocity(self, sensordata: np.ndarray) -> np.ndarray:
+        if self._foot_velocities is None:
+            return np.zeros((*sensordata.shape[:-1], 0, 3))
+        return np.asarray(sensordata.take(self._foot_velocities, axis=-1) @ self._base.frame.T)
 
     def node_features(self, now: Measurement, memory: Memory | None = None) -> np.ndarray:
         """Return the features of every node in one frame, ``float32 [*, N, F]``; see :class:`.FeatureTable`."""

@@ -25,24 +25,30 @@ class Fall(Termination):
     """Terminate when the body drops or tilts, another part than a foot touches the ground, or the simulation fails.
 
     Attributes:
-        height: Body height below which the robot has fallen (m from standing; released script).
+        height: Body height below which the robot has fallen (m from standing; released script); ``None`` for that of
+            :attr:`drop`.
+        drop: The same as a share of the leg's length, used where ``height`` is ``None``.
         tilt: Angle between the body's vertical and the world's above which the robot has fallen (rad); ``None`` for no
             bound. A boom holds the body upright.
     """
 
     fatal: ClassVar[bool] = True
 
-    height: float = -0.1
+    height: float | None = -0.1
+    drop: float = 0.4
     tilt: float | None = 0.8
 
     def __post_init__(self) -> None:
+        if not self.drop > 0:
+            raise ConfigError(f"drop must be above 0, got {self.drop}.")
         if self.tilt is not None and not self.tilt > 0:
             raise ConfigError(f"tilt must be above 0 rad, or null, got {self.tilt}.")
 
     def __call__(self, step: Step) -> Array:
         """Return whether the robot has fallen, shape ``[*]``."""
         now = step.now
-        fell = (now.height < self.height) | now.other_down | step.diverged
+        lowest = -self.drop * step.facts.leg_length if self.height is None else self.height
+        fell = (now.height < lowest) | now.other_down | step.diverged
         return fell if self.tilt is None else fell | (now.tilt > self.tilt)
 
 

@@ -18,12 +18,54 @@ import numpy as np
 from array_api_compat import array_namespace
 
 from gctd3.errors import ConfigError
+from gctd3.robots.actuators import torque_limit
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.nodes import foot_slots
 from gctd3.robots.robot import Robot
 from gctd3.tasks.measurement import Measurement
 
 Array = Any  # of NumPy or of PyTorch
+
+
+@dataclass(frozen=True)
+class ServoFacts:
+    """Hold the numbers of a robot's servos, in the order of the actions.
+
+    Attributes:
+        joints: Index of each servo's joint in ``Measurement.angles``, shape ``[A]``.
+        limited: Indices of the servos with a torque limit, shape ``[L]``.
+        centre: Desired angle at an action of 0, shape ``[A]`` (rad).
+        scale: Change of the desired angle by an action of 1, shape ``[A]`` (rad).
+        stiffness: Torque per radian, shape ``[A]`` (N m/rad).
+        damping: Torque per unit of velocity, shape ``[A]`` (N m s/rad).
+        effort: Torque limit, infinite for none, shape ``[A]`` (N m).
+    """
+
+    NUMBERS: ClassVar[tuple[str, ...]] = ("centre", "scale", "stiffness", "damping", "effort")
+
+    joints: np.ndarray
+    limited: np.ndarray
+    centre: np.ndarray
+    scale: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    effort: np.ndarray
+
+    @classmethod
+    def from_robot(cls, robot: Robot) -> ServoFacts:
+        """Read the servos of a robot."""
+        names, model = [joint.name for joint in robot.joints], robot.model
+        centre, scale = robot.action_map
+        effort = np.array([torque_limit(robot, i) for i in range(len(robot.actuated))])
+        return cls(
+            joints=np.array([names.index(name) for name in robot.actuated], dtype=np.int64),
+            limited=np.flatnonzero(np.isfinite(effort)),
+            centre=centre,
+            scale=scale,
+            stiffness=model.actuator_gainprm[:, 0].copy(),
+            damping=-model.actuator_biasprm[:, 2],
+            effort=effort,
+        )
 
 
 @dataclass(frozen=True)
@@ -43,6 +85,11 @@ class RobotFacts:
         base: Names of the coordinates in ``Measurement.base``.
         node_joints: Index in ``Measurement.angles`` of each joint node's joint, shape ``[J]``.
         foot_slots: Ground node of each foot, counted from the last one (-1), and place there, shape ``[feet, 2]``.
+        home: Joint angles in the standing pose, shape ``[J]`` (rad).
+        ranges: Lower and upper limit of each joint, infinite for none, shape ``[J, 2]`` (rad).
+        leg_length: Height of the hips above the ground when standing, the mean over legs (m).
+        foot_velocities: Whether the velocities of the feet are measured.
+        servos: Numbers of the servos.
     """
 
     control_dt: float
@@ -57,6 +104,11 @@ class RobotFacts:
     base: tuple[str, ...]
     node_joints: np.ndarray
     foot_slots: np.ndarray
+    home: np.ndarray
+    ranges: np.ndarray
+    leg_length: float
+    foot_velocities: bool
+    servos: ServoFacts
 
     @classmethod
     def from_robot(cls, robot: Robot, graph: KinematicGraph, control_dt: float) -> RobotFacts:
@@ -76,7 +128,19 @@ class RobotFacts:
             base=robot.base.extra,
             node_joints=np.array([names.index(name) for name in graph.nodes if name in names]),
             foot_slots=foot_slots(robot),
+            home=robot.home_angles,
+            ranges=np.array([joint.range for joint in robot.joints]),
+            leg_length=robot.leg_length,
+            foot_velocities=robot.foot_velocity_sensors is not None,
+            servos=ServoFacts.from_robot(robot),
         )
+
+    def soft_range(self, share: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the ends of a share of each joint's range about its middle, infinite for none, each ``[J]`` (rad)."""
+        low, high = self.ranges.T
+        limited = np.isfinite(high - low)
+        middle, half = np.where(limited, (low + high) / 2, 0.0), np.where(limited, share * (high - low) / 2, np.inf)
+        return middle - half, middle + half
 
     def size(self, dimension: int | str) -> int:
         """Return the size of a remembered array's dimension: a number, or ``feet``, ``joints`` or ``actions``."""

@@ -240,5 +240,5 @@ def test_contracts_with_a_contradiction_are_refused(robot):
     network = dataclasses.replace(contract.network, input_shape=(8, 12))
     with pytest.raises(ContractError, match=r"make \(8, 10\), not network.input_shape"):
         dataclasses.replace(contract, network=network)
-    with pytest.raises(ContractError, match="start_rad and centre_rad between"):
+    with pytest.raises(ContractError, match="start_rad and centre_rad lie between"):
         dataclasses.replace(contract, servos=(dataclasses.replace(contract.servos[0], low_rad=1.0),))

@@ -15,7 +15,7 @@ from tensordict.nn import TensorDictModule
 from gctd3.envs.simulation import Simulation
 from gctd3.evaluation.episode import Episode
 from gctd3.evaluation.gait_metrics import strides
-from gctd3.evaluation.recorder import Motion, Recorder, Servos, leg_length, soles, total_mass
+from gctd3.evaluation.recorder import Motion, Recorder, Servos, soles, total_mass
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize
 from gctd3.robots.robot import Robot
@@ -132,7 +132,7 @@ def test_a_foot_that_rolls_over_its_toe_does_not_slip(robot):
 
 
 def test_size_and_mass_of_the_biped(robot):
-    assert leg_length(robot) == pytest.approx(0.613 - 0.0235)
+    assert robot.leg_length == pytest.approx(0.613 - 0.0235)
     assert total_mass(robot) == pytest.approx(4.02 + 2 * (1.7324 + 0.7527 + 0.4111))
 
 

@@ -11,7 +11,7 @@ from compositions import walking
 from own_terms import FollowSpeed, MissedSpeed
 
 from gctd3.robots.robot import Robot
-from gctd3.tasks import reward_terms, terminations
+from gctd3.tasks import motor_terms, reward_terms, terminations
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.terminations import STEPS
 from gctd3.tasks.terms import RewardTerm, Step, Termination
@@ -26,7 +26,11 @@ def of(module, kind):
 # As they are, but so that they happen within a few steps.
 SOONER = {"LongContact": {"steps": 2}, "StuckHip": {"steps": 3}, "TimeLimit": {"steps": 8}, "SwingTime": {"most": 0.02}}
 SOONER["SwingTime"]["least"] = 0.02
-REWARDS = {kind.__name__: kind(**SOONER.get(kind.__name__, {})) for kind in of(reward_terms, RewardTerm)}
+REWARDS = {
+    kind.__name__: kind(**SOONER.get(kind.__name__, {}))
+    for module in (reward_terms, motor_terms)
+    for kind in of(module, RewardTerm)
+}
 ENDS = {kind.__name__: kind(**SOONER.get(kind.__name__, {})) for kind in of(terminations, Termination)}
 # And those of one's own that the tests have, written as one's own are.
 REWARDS["FollowSpeed"], ENDS["MissedSpeed"] = FollowSpeed(), MissedSpeed(steps=2)
@@ -40,7 +44,8 @@ def test_there_is_something_to_test():
 
 @pytest.fixture(scope="module", params=["biped", "quadruped"])
 def facts(request):
-    return walking(Robot.from_mjcf(request.param)).facts
+    # As if the feet's velocities were measured, so that every term applies.
+    return replace(walking(Robot.from_mjcf(request.param)).facts, foot_velocities=True)
 
 
 def measurements(facts, shape, steps=40):
@@ -57,6 +62,7 @@ def measurements(facts, shape, steps=40):
             other_down=np.asarray(rng.uniform(size=shape) < 0.1),
             base=rng.uniform(-0.5, 0.5, (*shape, len(facts.base), 2)),
             tilt=np.asarray(rng.uniform(0.0, 1.0, shape)),
+            feet_velocity=rng.uniform(-1.0, 1.0, (*shape, facts.feet, 3)),
         )
         for _ in range(steps)
     ]
