@@ -37,6 +37,7 @@ _TARGETS = {
     "HomePose": "gctd3.tasks.motor_terms",
     "FootSlip": "gctd3.tasks.motor_terms",
     "HeightFromStanding": "gctd3.tasks.motor_terms",
+    "ShankContact": "gctd3.tasks.motor_terms",
     "Antiphase": "gctd3.tasks.reward_terms",
     "BaseCoordinate": "gctd3.tasks.features",
     "BaseRate": "gctd3.tasks.features",

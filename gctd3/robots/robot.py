@@ -41,6 +41,8 @@ class Robot:
         forward_axis: Forward direction: ``x``, ``-x``, ``y`` or ``-y`` of the world.
         action_scale: Change of each desired angle from the standing pose by an action of 1 (rad); ``None`` if actions
             are mapped onto the servos' ranges.
+        standing_command: Desired angle of each servo that holds the standing pose against the robot's weight (rad),
+            see :func:`.find_standing_command`; ``None`` for the angles of the pose.
     """
 
     model: mujoco.MjModel
@@ -51,6 +53,7 @@ class Robot:
     feet: tuple[str, ...]
     forward_axis: Axis = "x"
     action_scale: tuple[float, ...] | None = None
+    standing_command: tuple[float, ...] | None = None
 
     @classmethod
     def from_mjcf(
@@ -159,6 +162,8 @@ class Robot:
         low, high = self.action_range.T
         if self.action_scale is None:
             return (high + low) / 2, (high - low) / 2
+        if self.standing_command is not None:
+            return np.array(self.standing_command), np.array(self.action_scale)
         home = self.start_qpos[[self.joint(name).qpos for name in self.actuated]]
         return np.clip(home, low, high), np.array(self.action_scale)
 
@@ -285,8 +290,17 @@ class Robot:
 
     @property
     def other_contact_bodies(self) -> tuple[str, ...]:
-        """Return the bodies other than feet with a ground-contact sensor: their contact counts as a fall."""
-        return tuple(body for body in self._contact_sensors if body not in self.feet)
+        """Return the bodies other than feet and shanks with a ground-contact sensor: their contact counts as a fall."""
+        return tuple(b for b in self._contact_sensors if b not in self.feet and b not in self._shanks)
+
+    @property
+    def shanks(self) -> tuple[str, ...]:
+        """Return the bodies that carry a foot, which is a body of its own, and have a ground-contact sensor."""
+        return tuple(body for body in self._contact_sensors if body in self._shanks)
+
+    @cached_property
+    def _shanks(self) -> set[str]:
+        return {leg[-1].body for leg in self.legs if leg} - set(self.feet)
 
     @cached_property
     def _contact_sensors(self) -> dict[str, int]:

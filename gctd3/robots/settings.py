@@ -91,9 +91,13 @@ class RobotSettings:
         """
         from gctd3.robots.action_scale import find_action_scale
         from gctd3.robots.robot import Robot
+        from gctd3.robots.standing_command import find_standing_command
 
         robot = Robot.from_mjcf(self.name, self.feet if feet is None else feet, self.forward)
-        return replace(robot, action_scale=find_action_scale(robot, self.action_scale))
+        scale = find_action_scale(robot, self.action_scale)
+        if scale is None:
+            return robot
+        return replace(robot, action_scale=scale, standing_command=tuple(find_standing_command(robot).tolist()))
 
     def graph_of(self, robot: Robot) -> KinematicGraph:
         """Build the graph over a robot."""

@@ -19,7 +19,8 @@ class Measurement:
         angles: Joint angles in the order of ``robot.joints``, shape ``[*, J]`` (rad).
         velocities: Joint velocities, shape ``[*, J]`` (rad/s).
         feet_down: Whether each foot touches the ground, shape ``[*, feet]``.
-        other_down: Whether anything else touches the ground, shape ``[*]``.
+        other_down: Whether anything but feet and shanks touches the ground, shape ``[*]``.
+        shank_down: Whether a shank touches the ground, shape ``[*]``; never where the shank is the foot.
         base: The base's other coordinates and their rates in the order of ``robot.base.extra``, from standing, shape
             ``[*, E, 2]`` (rad and rad/s; ``side`` m and m/s); a boom has none (``E = 0``).
         tilt: Angle between the body's vertical and the world's, shape ``[*]`` (rad).
@@ -34,6 +35,7 @@ class Measurement:
     velocities: np.ndarray
     feet_down: np.ndarray
     other_down: np.ndarray
+    shank_down: np.ndarray
     base: np.ndarray
     tilt: np.ndarray
     feet_velocity: np.ndarray

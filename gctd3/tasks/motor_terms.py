@@ -125,6 +125,17 @@ class FootSlip(RewardTerm):
 
 
 @dataclass(frozen=True)
+class ShankContact(RewardTerm):
+    """Penalise each step in which a shank touches the ground."""
+
+    weight: float = -0.5
+
+    def __call__(self, step: Step) -> Array:
+        """Return ``weight`` where a shank is on the ground, else 0, shape ``[*]``."""
+        return self.weight * step.xp.astype(step.now.shank_down, step.now.velocity.dtype)
+
+
+@dataclass(frozen=True)
 class HeightFromStanding(RewardTerm):
     """Penalise the distance of the body's height from standing, in leg lengths.
 
@@ -134,7 +145,7 @@ class HeightFromStanding(RewardTerm):
     """
 
     weight: float = -2.0
-    free: float = 0.05
+    free: float = 0.15
 
     def __call__(self, step: Step) -> Array:
         """Return ``weight`` times the excess distance, shape ``[*]``."""

@@ -108,6 +108,7 @@ class SimulatedTask:
         self._standing = {name: value for name, (value, _) in standing.items()}
         self._feet = robot.contact_sensors(robot.feet)
         self._foot_velocities = robot.foot_velocity_sensors
+        self._shanks = robot.contact_sensors(robot.shanks)
         self._others = robot.contact_sensors(robot.other_contact_bodies)
         self._qpos = np.array([joint.qpos for joint in robot.joints])
         self._qvel = np.array([joint.qvel for joint in robot.joints])
@@ -198,6 +199,7 @@ class SimulatedTask:
             velocities=qvel.take(self._qvel, axis=-1),
             feet_down=sensordata.take(self._feet, axis=-1) > 0,
             other_down=np.asarray((sensordata.take(self._others, axis=-1) > 0).any(axis=-1)),
+            shank_down=np.asarray((sensordata.take(self._shanks, axis=-1) > 0).any(axis=-1)),
             base=base,
             tilt=tilt,
             feet_velocity=self._feet_velocity(sensordata),

@@ -30,6 +30,8 @@ class Fall(Termination):
         drop: The same as a share of the leg's length, used where ``height`` is ``None``.
         tilt: Angle between the body's vertical and the world's above which the robot has fallen (rad); ``None`` for no
             bound. A boom holds the body upright.
+        shanks: Whether a shank on the ground is a fall, too. A shank that carries a foot of its own may graze the
+            ground beside it, as a crouching quadruped's does.
     """
 
     fatal: ClassVar[bool] = True
@@ -37,6 +39,7 @@ class Fall(Termination):
     height: float | None = -0.1
     drop: float = 0.4
     tilt: float | None = 0.8
+    shanks: bool = True
 
     def __post_init__(self) -> None:
         if not self.drop > 0:
@@ -49,6 +52,7 @@ class Fall(Termination):
         now = step.now
         lowest = -self.drop * step.facts.leg_length if self.height is None else self.height
         fell = (now.height < lowest) | now.other_down | step.diverged
+        fell = fell | now.shank_down if self.shanks else fell
         return fell if self.tilt is None else fell | (now.tilt > self.tilt)
 
 

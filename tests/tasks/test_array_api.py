@@ -60,6 +60,7 @@ def measurements(facts, shape, steps=40):
             velocities=rng.uniform(-7.0, 7.0, (*shape, facts.joints)),
             feet_down=rng.uniform(size=(*shape, facts.feet)) < 0.6,
             other_down=np.asarray(rng.uniform(size=shape) < 0.1),
+            shank_down=np.asarray(rng.uniform(size=shape) < 0.1),
             base=rng.uniform(-0.5, 0.5, (*shape, len(facts.base), 2)),
             tilt=np.asarray(rng.uniform(0.0, 1.0, shape)),
             feet_velocity=rng.uniform(-1.0, 1.0, (*shape, facts.feet, 3)),
