@@ -75,6 +75,7 @@ class TrainSettings:
         checkpoint_every: Time between checkpoints, at least (s); it grows if writing them would take over 3 % of the
             time.
         resume: Directory of a run to continue; other settings are then taken from it.
+        init: Directory of another run from whose networks the training begins; ``None`` for new ones.
     """
 
     robot: RobotSettings
@@ -101,6 +102,7 @@ class TrainSettings:
     keep_checkpoints: int = 2
     checkpoint_every: float = 30.0
     resume: str | None = None
+    init: str | None = None
 
     def __post_init__(self) -> None:
         check_between(self, 1, 10**12, "total_frames", "gradient_steps", "keep_checkpoints")

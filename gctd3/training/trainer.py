@@ -32,6 +32,7 @@ from gctd3.signals import StopRequest
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.training.checkpoint import STATE, Checkpoints, fit
 from gctd3.training.device import pick_device
+from gctd3.training.initial_networks import begin_from
 from gctd3.training.progress import Counters
 from gctd3.training.rng_state import load_random_state, random_state, seed_all
 from gctd3.training.run_log import RunLog
@@ -93,6 +94,12 @@ class Trainer:
         exploring = Explorer(algorithm.actor, task.robot, settings.env.num_envs, settings.exploration, task.control_dt)
         return algorithm, exploring
 
+    def _begin_from_a_run(self) -> None:
+        """Copy the networks of the run that ``init`` names, if it names one."""
+        if self.settings.init is not None:
+            frames = begin_from(self.algorithm, Path(self.settings.init))
+            print(f"Networks begin as {self.settings.init} had them after {frames:,} frames.", flush=True)
+
     @property
     def _first_evaluation(self) -> int:
         return max(self.settings.evaluation.every, self.settings.exploration.learning_starts)
@@ -121,6 +128,8 @@ class Trainer:
             RunError: If a checkpoint cannot be written.
             WorkerError: If a worker fails too often in a row; a checkpoint is written before.
         """
+        if self.counters.frames == 0:
+            self._begin_from_a_run()
         self._clock = began = time.monotonic()
         limit = math.inf if self.settings.time_limit is None else 60.0 * self.settings.time_limit
         shown = {"unit": " steps", "unit_scale": True, "smoothing": 0.05, "mininterval": 0.5, "dynamic_ncols": True}
@@ -185,6 +194,7 @@ class Trainer:
             "It begins again with new weights; the best policy is kept."
         )
         self.algorithm, self.explorer = self._new_learner()
+        self._begin_from_a_run()
         self.collector.follow(self.explorer)
         self.replay.clear()
         now.restarts, now.promising = now.restarts + 1, now.frames
