@@ -5,8 +5,8 @@ Stage one of the data flow. Needs MuJoCo and NumPy, nothing else.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from gctd3.robots.feet import find_feet, named_feet
 from gctd3.robots.floating_base import AXES, Axis, Base, find_forward
 from gctd3.robots.mirror_pairs import count_reflected, pair_joints, reflected_sign, swap_side
 from gctd3.robots.mjcf import Joint, body_name, load_mjcf, read_actuated, read_joints, root_body
+from gctd3.robots.sources import Source
 from gctd3.robots.standing_pose import check_standing, find_standing, find_start
 
 
@@ -36,6 +37,9 @@ class Robot:
         actuated: For each actuator of a joint, in order, the name of the joint that it drives.
         feet: Names of the bodies that may touch the ground.
         forward_axis: Forward direction: ``x``, ``-x``, ``y`` or ``-y`` of the world.
+        source: Where the file comes from; ``None`` for a model in memory.
+        notes: One sentence for each thing that was added to the file or changed.
+        held: Angle (rad) of each joint of the file that was fixed, by name.
     """
 
     model: mujoco.MjModel
@@ -45,6 +49,9 @@ class Robot:
     actuated: tuple[str, ...]
     feet: tuple[str, ...]
     forward_axis: Axis = "x"
+    source: Source | None = field(default=None, compare=False)
+    notes: tuple[str, ...] = field(default=(), compare=False)
+    held: Mapping[str, float] = field(default_factory=dict, compare=False)
 
     @classmethod
     def from_mjcf(
@@ -65,6 +72,21 @@ class Robot:
             RobotError: If the file is missing, does not parse, or has no one root, no joint or no foot.
         """
         model, file = load_mjcf(source)
+        return cls.from_model(model, file, feet, forward)
+
+    @classmethod
+    def from_model(
+        cls,
+        model: mujoco.MjModel,
+        file: Path,
+        feet: str | Sequence[str] | None = None,
+        forward: Axis | None = None,
+        *,
+        source: Source | None = None,
+        notes: tuple[str, ...] = (),
+        held: Mapping[str, float] | None = None,
+    ) -> Robot:
+        """Read a robot from the compiled model of a file, which messages name; see :meth:`from_mjcf`."""
         root = root_body(model, file)
         joints = read_joints(model, root, file)
         if forward is not None and forward not in AXES:
@@ -74,7 +96,18 @@ class Robot:
             forward = find_forward(model, root, joints, reflected)
         names = find_feet(model, root, file) if feet is None else named_feet(model, root, feet, file)
         actuated = tuple(read_actuated(model, joints))
-        return cls(model, file, body_name(model, root), tuple(joints), actuated, tuple(names), forward)
+        return cls(
+            model,
+            file,
+            body_name(model, root),
+            tuple(joints),
+            actuated,
+            tuple(names),
+            forward,
+            source=source,
+            notes=notes,
+            held=held or {},
+        )
 
     # Base.
 

@@ -89,9 +89,9 @@ class RobotSettings:
         Raises:
             RobotError: If it cannot be used.
         """
-        from gctd3.robots.robot import Robot
+        from gctd3.robots.load import load_robot
 
-        return Robot.from_mjcf(self.name, self.feet if feet is None else feet, self.forward)
+        return load_robot(self, feet)
 
     def graph_of(self, robot: Robot) -> KinematicGraph:
         """Build the graph over a robot."""
