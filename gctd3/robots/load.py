@@ -71,6 +71,22 @@ def read_spec(source: Source, settings: RobotSettings) -> tuple[mujoco.MjSpec, R
     return parse_mjcf(source.file), settings, ()
 
 
+def floats(file: Path) -> bool:
+    """Tell whether the robot of a file has a free base, without compiling it; of a file that is damaged ``False``."""
+    if is_urdf(file):
+        return True
+    try:
+        spec = parse_mjcf(file)
+    except RobotError:
+        return False  # for the one who loads it to say
+
+    def floating(body: mujoco.MjsBody) -> bool:
+        return any(int(joint.type) == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+
+    # A body with a free joint and nothing else, such as a ball, is scenery.
+    return any(floating(body) and len(body.find_all("joint")) > 1 for body in spec.worldbody.bodies)
+
+
 def parse_mjcf(file: Path) -> mujoco.MjSpec:
     """Parse an MJCF file, without compiling it.
 
