@@ -26,6 +26,7 @@ from omegaconf.errors import OmegaConfBaseException
 from gctd3.compat import own_launcher
 from gctd3.config.help import CONF, asks_for_help, check_installed, command_of, conf, fail, help_of
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
+from gctd3.robots.settings import RobotSettings
 
 INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
 FREE = "free"  # the option for a robot of one's own whose base is free
@@ -129,7 +130,7 @@ def _is_file(place: str) -> bool:
 
 def _subject(robot: object, task: str) -> str:
     """Return the name of the robot that walks, whether it ships with gctd3 or is a file, or the library's task."""
-    return Path(str(robot).rpartition(":")[2]).stem if task == "walk" else task
+    return RobotSettings(str(robot)).title if task == "walk" else task
 
 
 # The subject of a run, for its path; registered here, so that processes of a sweep know it too.

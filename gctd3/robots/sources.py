@@ -74,6 +74,11 @@ class Source:
             digest.update(content.replace(b"\r\n", b"\n") if file.suffix in SUFFIXES else content)
         return digest.hexdigest()
 
+    @property
+    def ships(self) -> bool:
+        """Return whether the file ships with the library."""
+        return self.package == gctd3.__name__
+
     def __str__(self) -> str:
         brought = f"{self.package} {self.version}" if self.package else "a file of your own"
         return f"{self.file} ({brought}, {self.licence or 'no licence stated'}, SHA-256 {self.sha256[:12]})"
@@ -86,7 +91,7 @@ def find_source(settings: RobotSettings) -> Source:
         RobotError: If there is no such file, or no package that brings it is installed.
     """
     places = tuple(settings.sources)
-    if is_place(settings.name) or not places:
+    if not settings.takes_a_source:
         if settings.source is not None:
             raise RobotError(
                 f"robot.source={settings.source} chooses among robot.sources, and robot.name={settings.name} has none."
@@ -105,10 +110,11 @@ def find_source(settings: RobotSettings) -> Source:
         package = package_of(place)
         if package is None or is_installed(package):
             return find_place(place)
-    needed = " or ".join(f"pip install {pip_name(name)}" for name in dict.fromkeys(map(_needed, places)))
+    first, *others = dict.fromkeys(pip_name(package_of(place) or place) for place in places)
+    instead = f" (or {', '.join(others)})" if others else ""
     raise RobotError(
-        f"No package that brings the robot {settings.name!r} is installed: {needed} "
-        "(pip install 'gctd3[robots]' brings most robots)."
+        f"No package that brings the robot {settings.name!r} is installed: pip install {first}{instead}; "
+        "pip install 'gctd3[robots]' brings those of most robots."
     )
 
 
@@ -215,10 +221,6 @@ def _normal(package: str) -> str:
     return re.sub(r"[-_.]+", "-", package).lower()
 
 
-def _needed(place: str) -> str:
-    return package_of(place) or place
-
-
 def _distribution(package: str) -> metadata.Distribution | None:
     """Return what pip wrote of a package, named as it is imported or as pip knows it."""
     try:
@@ -251,15 +253,15 @@ def _in_package(package: str, path: str, place: str) -> Source:
     file = folder / path if folder else None
     if file is None or not file.is_file():
         # Some packages put their robots elsewhere, in share/.
-        listed = [p for p in (distribution.files or []) if distribution is not None and p.as_posix().endswith(f"/{path}")] if distribution else []
+        files = (distribution.files if distribution else None) or []
+        listed = [p for p in files if p.as_posix().endswith(f"/{path}")]
         file = Path(str(listed[0].locate())).resolve() if len(listed) == 1 else None
     said = f" {distribution.version}" if distribution else ""
     if file is None or not file.is_file():
         raise RobotError(f"{place}: the package {package}{said} has no file {path!r}.{_nearest(folder, path)}")
     _check_format(file)
-    inside = [file.parent]
-    while folder is not None and folder in inside[-1].parents:
-        inside.append(inside[-1].parent)
+    # Up to the package's own folder; of files elsewhere the folder above holds what is the robot's.
+    inside = [p for p in file.parents if folder in (p, *p.parents)] or [file.parent, file.parent.parent]
     return Source(
         file,
         place,
@@ -319,10 +321,8 @@ def _in_menagerie(name: str) -> Source:
         # The robot alone: a floor is added where there is none.
         file = Path(robot.xml(entry or robot.default_model))
     except (menagerie.MenagerieError, OSError) as error:
-        raise RobotError(
-            f"{place} is not in the cache and cannot be downloaded: {_line(error)}. Get it where there is a network with "
-            f"mujoco-menagerie prefetch {robot_name}, or set MENAGERIE_ROOT to a checkout."
-        ) from error
+        remedy = f"mujoco-menagerie prefetch {robot_name}, or set MENAGERIE_ROOT to a checkout"
+        raise _absent(place, error, remedy) from error
     return Source(file, place, "mujoco-menagerie", menagerie.__version__, robot.license)
 
 
@@ -334,17 +334,28 @@ def _in_descriptions(name: str) -> Source:
     try:
         # To import it is to download it.
         module = importlib.import_module(f"robot_descriptions.{name}")
-    except Exception as error:  # of git, of the network, of the system
+    except ImportError as error:
         raise RobotError(
-            f"{place} is not in the cache and cannot be downloaded: {_line(error)}. Get it where there is a network with "
-            f"robot_descriptions pull {name}, or set ROBOT_DESCRIPTIONS_CACHE to a folder that has it."
+            f"{place} needs its package: pip install {pip_name('robot_descriptions')} ({error})."
         ) from error
+    except Exception as error:  # of git, of the network, of the system
+        remedy = f"robot_descriptions pull {name}, or set ROBOT_DESCRIPTIONS_CACHE to a folder that has it"
+        raise _absent(place, error, remedy) from error
     file = getattr(module, "MJCF_PATH", None) or getattr(module, "URDF_PATH", None)
     if file is None:
         raise RobotError(f"{place} has neither an MJCF nor a URDF.")
     if not Path(file).is_file():
         raise RobotError(f"{place}: no file at {file}.")
-    return Source(Path(file), place, "robot_descriptions", metadata.version("robot_descriptions"), known[name].license_spdx)
+    return Source(
+        Path(file), place, "robot_descriptions", metadata.version("robot_descriptions"), known[name].license_spdx
+    )
+
+
+def _absent(place: str, error: Exception, remedy: str) -> RobotError:
+    return RobotError(
+        f"{place} is not in the cache and cannot be downloaded: {_line(error)}. Where there is a network, get it with "
+        f"{remedy}."
+    )
 
 
 def _line(error: Exception) -> str:

@@ -1,7 +1,7 @@
 """Read a URDF file for MuJoCo: find its meshes, give it a free base, keep the limits of its joints.
 
-MuJoCo's own reader would fix the base to the world, find no mesh by ``package://``, and make of an effort a limit of the
-joint, which slows a saturated servo, instead of one of its servo.
+MuJoCo's own reader would fix the base to the world, find no mesh by ``package://``, and make of an effort a limit of
+the joint, which slows a saturated servo, instead of one of its servo.
 """
 
 from __future__ import annotations
@@ -142,9 +142,7 @@ class _Mesh:
             else:
                 mesh.uservert = _points(self.file).ravel()
             same = [mesh]
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=same[0].name, pos=self.xyz, quat=_quaternion(self.rpy)
-        )
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=same[0].name, pos=self.xyz, quat=_quaternion(self.rpy))
 
 
 def _take_meshes(root: ElementTree.Element, file: Path, notes: list[str]) -> list[_Mesh]:
@@ -164,7 +162,7 @@ def _take_meshes(root: ElementTree.Element, file: Path, notes: list[str]) -> lis
                 elsewhere.add(name)
             if path.suffix.lower() not in (*_READ_BY_MUJOCO, ".dae"):
                 raise RobotError(
-                    f"{file}: link {link.get('name')!r} collides as {path}; of meshes .stl, .obj, .msh and .dae are read."
+                    f"{file}: link {link.get('name')!r} collides as {path}; meshes are .stl, .obj, .msh or .dae."
                 )
             origin = collision.find("origin")
             place = {} if origin is None else origin.attrib
@@ -180,7 +178,9 @@ def _take_meshes(root: ElementTree.Element, file: Path, notes: list[str]) -> lis
             "packages."
         )
     if elsewhere:
-        notes.append(f"{_some(sorted(elsewhere))} are not where the file says; those of the same name nearby were read.")
+        notes.append(
+            f"{_some(sorted(elsewhere))} are not where the file says; those of the same name nearby were read."
+        )
     hulls = sorted({mesh.file.name for mesh in taken if mesh.file.suffix.lower() == ".dae"})
     if hulls:
         notes.append(f"Of {_some(hulls)} the convex hull was read, which is what collides.")
@@ -194,7 +194,9 @@ def _find_mesh(name: str, file: Path) -> Path | None:
         return said
     # Packages move their meshes and leave the names in the file as they were.
     base = re.split(r"[/\\\\]", name)[-1]
-    near = {path for depth in ("*", "*/*", "../*") for path in file.absolute().parent.glob(f"{depth}/{glob.escape(base)}")}
+    near = {
+        path for depth in ("*", "*/*", "../*") for path in file.absolute().parent.glob(f"{depth}/{glob.escape(base)}")
+    }
     return min(near) if base and len(near) == 1 else None
 
 
@@ -259,8 +261,8 @@ def _collada_points(root: ElementTree.Element) -> np.ndarray:
         here = above
         for step in node:
             here = here @ _collada_step(step)
-        for instance in node.iterfind("c:instance_geometry", _COLLADA):
-            placed.append(clouds[instance.attrib["url"]] @ here[:3, :3].T + here[:3, 3])
+        shown = [clouds[instance.attrib["url"]] for instance in node.iterfind("c:instance_geometry", _COLLADA)]
+        placed.extend(cloud @ here[:3, :3].T + here[:3, 3] for cloud in shown)
         for child in node.iterfind("c:node", _COLLADA):
             walk(child, here)
 
@@ -313,7 +315,9 @@ def _mend_inertias(root: ElementTree.Element, file: Path, notes: list[str]) -> N
         try:
             values, axes = np.linalg.eigh([[float(inertia.get(key, "0")) for key in row] for row in keys])
         except ValueError as error:
-            raise RobotError(f"{file}: the inertia of link {link.get('name')!r} is no number: {_line(error)}.") from error
+            raise RobotError(
+                f"{file}: the inertia of link {link.get('name')!r} is no number: {_line(error)}."
+            ) from error
         if values[-1] > 0.0 and values[0] <= 0.0:
             possible = axes @ np.diag(np.maximum(values, 1e-6 * values[-1])) @ axes.T
             for row, numbers in zip(keys, possible, strict=True):
@@ -413,7 +417,9 @@ def _exclude_overlaps(spec: mujoco.MjSpec, file: Path, notes: list[str]) -> None
         if model.jnt_limited[joint]:
             data.qpos[model.jnt_qposadr[joint]] = np.clip(0.0, *model.jnt_range[joint])
     mujoco.mj_forward(model, data)
-    touching = {tuple(sorted(int(model.geom_bodyid[geom]) for geom in pair)) for pair in data.contact.geom if min(pair) >= 0}
+    touching = {
+        tuple(sorted(int(model.geom_bodyid[geom]) for geom in pair)) for pair in data.contact.geom if min(pair) >= 0
+    }
     for one, two in sorted(touching):
         spec.add_exclude(bodyname1=model.body(one).name, bodyname2=model.body(two).name)
     if touching:
@@ -470,7 +476,9 @@ def _numbers(text: str | None, file: Path) -> tuple[float, ...]:
 
 
 def _some(names: list[str], separator: str = ", ") -> str:
-    return separator.join(names[:4]) + (f"{'' if separator == ', ' else ';'} and {len(names) - 4} more" if len(names) > 4 else "")
+    return separator.join(names[:4]) + (
+        f"{'' if separator == ', ' else ';'} and {len(names) - 4} more" if len(names) > 4 else ""
+    )
 
 
 def _line(error: Exception) -> str:
