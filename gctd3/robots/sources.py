@@ -207,6 +207,8 @@ def _check_format(file: Path) -> None:
         raise RobotError(f"{file} is a template: make the URDF of it with xacro {file.name} > {file.stem}.urdf.")
     if file.suffix in (".sdf", ".usd", ".usda", ".usdc", ".usdz", ".zip"):
         raise RobotError(f"{file}: a robot is an MJCF or a URDF file, got a {file.suffix}.")
+    if file.suffix != ".xml" and not is_urdf(file):
+        raise RobotError(f"{file}: MuJoCo reads an MJCF whose name ends in .xml; rename it to {file.stem}.xml.")
 
 
 # Packages.

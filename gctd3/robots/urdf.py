@@ -47,7 +47,8 @@ class URDF:
 
         Each joint with limits of its own comes first and under its own name.
         """
-        return {joint: _filled(_first(joint, asked), limits) for joint, limits in self.limits.items()} | dict(asked)
+        joints = {joint: _filled(_first(joint, asked), limits) for joint, limits in self.limits.items()}
+        return joints | {pattern: servo for pattern, servo in asked.items() if pattern not in joints}
 
 
 def _first(joint: str, asked: Mapping[str, ServoSettings]) -> ServoSettings:
@@ -331,7 +332,10 @@ def _mend_inertias(root: ElementTree.Element, file: Path, notes: list[str]) -> N
 def _fix_massless(root: ElementTree.Element, file: Path, notes: list[str]) -> None:
     """Fix joints that move nothing which has a mass, and give a little mass to moving links between others."""
     masses = {link.get("name", ""): link.find("inertial/mass") for link in root.iterfind("link")}
-    heavy = {name for name, mass in masses.items() if mass is not None and float(mass.get("value", "0")) > 0.0}
+    try:
+        heavy = {name for name, mass in masses.items() if mass is not None and float(mass.get("value", "0")) > 0.0}
+    except ValueError as error:
+        raise RobotError(f"{file}: the mass of a link is no number: {_line(error)}.") from error
     if not heavy:
         raise RobotError(f"{file}: no link has a mass (<inertial> with <mass>).")
     below: dict[str, list[ElementTree.Element]] = {}
