@@ -17,7 +17,7 @@ from gctd3.comparison.runs import Run, evaluated, find_runs, lost_runs
 from gctd3.comparison.settings import ReportSettings
 from gctd3.errors import ConfigError, RenderError, RunError
 from gctd3.evaluation.episode import LAST_METRES
-from gctd3.files import write_text
+from gctd3.files import title, write_text
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
 from gctd3.runs.judge import TRACE
@@ -84,7 +84,7 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
     named = {key: config[f"robot.{key}"] for key in keys if f"robot.{key}" in config}
     asked = RobotSettings(**named)
     robot = asked.load() if walks else None
-    subject = asked.title if walks else str(config["task.name"])
+    subject = title(asked.name) if walks else str(config["task.name"])
     gallery = figures.Gallery(out / FIGURES)
 
     limit = time_limit(groups)

@@ -26,22 +26,24 @@ from omegaconf.errors import OmegaConfBaseException
 from gctd3.compat import own_launcher
 from gctd3.config.help import CONF, asks_for_help, check_installed, command_of, conf, fail, help_of
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
-from gctd3.robots.settings import RobotSettings
+from gctd3.files import title
 
 INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
-FREE = "free"  # the option for a robot of one's own whose base is free
 UNREAD = 141  # and of one whose output nobody reads
 _JOBLIB = ("hydra/launcher", "joblib")  # an option only where the plugin is installed
 _WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException)
 _USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError)
 
 
-def command(config: str, task: Callable[[DictConfig], object]) -> None:
+def command(
+    config: str, task: Callable[[DictConfig], object], rewrite: Callable[[str], list[str]] = lambda argument: [argument]
+) -> None:
     """Run ``task`` on the configuration that the command line asks for; exit with 2 after a message if it is wrong.
 
     Args:
         config: Name of the root YAML in ``conf/``.
         task: Function of the resolved configuration; its return value goes to Hydra's sweeper.
+        rewrite: Function of an argument that returns what Hydra reads in its place.
     """
     check_installed()
     if asks_for_help():
@@ -53,7 +55,7 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
     # Hydra would print and exit; this way its errors come here, to be said in the library's words.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
-        sys.argv[1:] = [said for argument in sys.argv[1:] for said in _robot_file(argument, config)]
+        sys.argv[1:] = [said for argument in sys.argv[1:] for said in rewrite(argument)]
         hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
     except KeyboardInterrupt:
         print("\nInterrupted.", file=sys.stderr)
@@ -88,49 +90,9 @@ def _together(arguments: list[str]) -> list[str]:
     return sorted(arguments, key=lambda argument: not assigns(argument))
 
 
-def _robot_file(argument: str, config: str) -> list[str]:
-    """Rewrite ``robot=my.xml`` for Hydra: choose the option that fits its base, and put the file in place of the name.
-
-    Raises:
-        GCTD3Error: If there is no such file, or several that need different options.
-    """
-    key, _, value = argument.partition("=")
-    places = value.split(",")
-    if key != "robot" or not any(map(_is_file, places)):
-        return [argument]
-    if not all(map(_is_file, places)):
-        named = next(place for place in places if not _is_file(place))
-        raise ConfigError(f"{argument}: {named} is an option and others are files; run them one by one.")
-    # Quoted, so that a path may hold what Hydra's grammar would read as its own.
-    rewritten = ["robot.name=" + ",".join("'" + place.replace("'", "\\'") + "'" for place in places)]
-    if not re.search(r"^  - robot: ", conf().joinpath(f"{config}.yaml").read_text(), re.MULTILINE):
-        return rewritten
-    from gctd3.robots.load import floats
-    from gctd3.robots.sources import find_place
-
-    free = [floats(find_place(place).file) for place in places]
-    if any(free) and not all(free):
-        floating, fixed = places[free.index(True)], places[free.index(False)]
-        raise ConfigError(
-            f"{argument}: {floating} has a free base and {fixed} has not, so they need different settings; "
-            "run them one by one."
-        )
-    return [f"robot={FREE}", *rewritten] if all(free) else rewritten
-
-
-def _is_file(place: str) -> bool:
-    """Tell whether ``robot=`` is given a file rather than the name of an option."""
-    from gctd3.robots.sources import SUFFIXES, package_of
-
-    if conf().joinpath("robot", f"{place}.yaml").is_file():
-        return False
-    path = Path(place).expanduser()
-    return path.suffix in SUFFIXES or package_of(place) is not None or path.is_file()
-
-
 def _subject(robot: object, task: str) -> str:
     """Return the name of the robot that walks, whether it ships with gctd3 or is a file, or the library's task."""
-    return RobotSettings(str(robot)).title if task == "walk" else task
+    return title(str(robot)) if task == "walk" else task
 
 
 # The subject of a run, for its path; registered here, so that processes of a sweep know it too.

@@ -6,16 +6,19 @@ Library code that has a model in memory builds a :class:`.Robot` from it directl
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 
 from gctd3.errors import RobotError
 from gctd3.robots.robot import Robot
-from gctd3.robots.settings import RobotSettings
 from gctd3.robots.sources import Source, find_source
 from gctd3.robots.urdf import is_urdf, read_urdf
+
+if TYPE_CHECKING:
+    from gctd3.robots.settings import RobotSettings
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ def read_spec(source: Source, settings: RobotSettings) -> tuple[mujoco.MjSpec, R
     """
     if is_urdf(source.file):
         read = read_urdf(source.file)
-        return read.spec, replace(settings, servos=read.servos(settings.servos)), read.notes
+        return read.spec, settings.within(read.limits), read.notes
     return parse_mjcf(source.file), settings, ()
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from pathlib import Path
+from dataclasses import dataclass, field, fields, replace
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Literal
 
 from gctd3.errors import ConfigError, check_seed
@@ -85,10 +85,14 @@ class RobotSettings:
     def __post_init__(self) -> None:
         check_seed("graph_seed", self.graph_seed)
 
-    @property
-    def title(self) -> str:
-        """Return the name, of a file or a package's its last part alone."""
-        return Path(self.name.rpartition(":")[2]).stem
+    def within(self, limits: Mapping[str, Mapping[str, float]]) -> RobotSettings:
+        """Add what a file says of single joints' servos where their patterns leave it to the file."""
+        servos = {}
+        for joint, said in limits.items():
+            asked = next((s for pattern, s in self.servos.items() if fnmatchcase(joint, pattern)), ServoSettings())
+            servos[joint] = replace(asked, **{key: v for key, v in said.items() if getattr(asked, key) is None})
+        # Joints first: of the patterns that fit, the first counts.
+        return replace(self, servos=servos | {key: s for key, s in self.servos.items() if key not in servos})
 
     @property
     def takes_a_source(self) -> bool:

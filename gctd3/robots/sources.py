@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import pkgutil
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -330,8 +331,8 @@ def _in_menagerie(name: str) -> Source:
 
 def _in_descriptions(name: str) -> Source:
     place = f"{DESCRIPTION}:{name}"
-    known = _downloader(place, "robot_descriptions._descriptions").DESCRIPTIONS
-    if name not in known:
+    known = [found.name for found in pkgutil.iter_modules(_downloader(place, "robot_descriptions").__path__)]
+    if name not in known or not name.endswith("_description"):
         raise RobotError(f"{place}: robot_descriptions has no module {name!r}.{suggest(name, known)}")
     try:
         # To import it is to download it.
@@ -348,9 +349,10 @@ def _in_descriptions(name: str) -> Source:
         raise RobotError(f"{place} has neither an MJCF nor a URDF.")
     if not Path(file).is_file():
         raise RobotError(f"{place}: no file at {file}.")
-    return Source(
-        Path(file), place, "robot_descriptions", metadata.version("robot_descriptions"), known[name].license_spdx
-    )
+    # The licence of the robot's folder, or else of the repository that it is from.
+    whole = Path(getattr(module, "REPOSITORY_PATH", Path(file).parent))
+    licence = _stated(*(folder for folder in Path(file).parents if whole in (folder, *folder.parents)))
+    return Source(Path(file), place, "robot_descriptions", metadata.version("robot_descriptions"), licence)
 
 
 def _absent(place: str, error: Exception, remedy: str) -> RobotError:

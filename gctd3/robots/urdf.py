@@ -10,8 +10,7 @@ import glob
 import os
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
-from fnmatch import fnmatchcase
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
@@ -20,7 +19,6 @@ import mujoco
 import numpy as np
 
 from gctd3.errors import RobotError
-from gctd3.robots.settings import ServoSettings
 
 _READ_BY_MUJOCO = (".stl", ".obj", ".msh")
 _ROOT = re.compile(rb"<\s*([A-Za-z_][\w:.-]*)")
@@ -34,30 +32,14 @@ class URDF:
 
     Attributes:
         spec: Bodies, joints and colliding geoms, with a free base; no floor and no actuators.
-        limits: Largest torque and velocity of each joint that states them, by its name.
+        limits: What each joint states of its largest torque (``effort``, N m) and velocity (``velocity_limit``, rad/s),
+            by its name.
         notes: One sentence for each thing that was added, changed or left out.
     """
 
     spec: mujoco.MjSpec
-    limits: Mapping[str, ServoSettings] = field(default_factory=dict)
+    limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-
-    def servos(self, asked: Mapping[str, ServoSettings]) -> dict[str, ServoSettings]:
-        """Return the servos that are asked for by pattern of joints, with the file's limits where they say nothing.
-
-        Each joint with limits of its own comes first and under its own name.
-        """
-        joints = {joint: _filled(_first(joint, asked), limits) for joint, limits in self.limits.items()}
-        return joints | {pattern: servo for pattern, servo in asked.items() if pattern not in joints}
-
-
-def _first(joint: str, asked: Mapping[str, ServoSettings]) -> ServoSettings:
-    return next((servo for pattern, servo in asked.items() if fnmatchcase(joint, pattern)), ServoSettings())
-
-
-def _filled(servo: ServoSettings, limits: ServoSettings) -> ServoSettings:
-    unsaid = {entry.name: getattr(limits, entry.name) for entry in fields(servo) if getattr(servo, entry.name) is None}
-    return replace(servo, **unsaid)
 
 
 def is_urdf(file: Path) -> bool:
@@ -173,10 +155,11 @@ def _take_meshes(root: ElementTree.Element, file: Path, notes: list[str]) -> lis
             taken.append(_Mesh(link.get("name", ""), path, *numbers))
             link.remove(collision)
     if missing:
+        searched = "the folders above the file, ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and Python's packages"
+        where = searched if missing[0].startswith("package://") else file.absolute().parent
         raise RobotError(
-            f"{file}: {len(missing)} of its colliding meshes are missing, the first is {missing[0]}; package:// is "
-            "looked for in the folders above the file, in ROS_PACKAGE_PATH, in AMENT_PREFIX_PATH and among Python's "
-            "packages."
+            f"{file}: {len(missing)} of its colliding meshes are missing, the first is {missing[0]}, "
+            f"looked for in {where}."
         )
     if elsewhere:
         notes.append(
@@ -447,26 +430,25 @@ def _free(spec: mujoco.MjSpec, root: ElementTree.Element, file: Path, notes: lis
     notes.append(f"The root link {bodies[0].name!r} moves freely (free joint 'root').")
 
 
-def _limits(spec: mujoco.MjSpec, root: ElementTree.Element, notes: list[str]) -> dict[str, ServoSettings]:
+def _limits(spec: mujoco.MjSpec, root: ElementTree.Element, notes: list[str]) -> dict[str, dict[str, float]]:
     """Take the limits of torque off the joints, for their servos to keep; those of 0 say nothing."""
-    found, silent = dict[str, ServoSettings](), list[str]()
+    found, silent = dict[str, dict[str, float]](), list[str]()
     for joint in spec.joints:
         joint.actfrclimited, joint.actfrcrange = mujoco.mjtLimited.mjLIMITED_FALSE, [0.0, 0.0]
     for joint in root.iterfind("joint"):
         if joint.get("type") not in ("revolute", "continuous", "prismatic") or joint.find("mimic") is not None:
             continue
-        limit = joint.find("limit")
+        limit, name = joint.find("limit"), joint.get("name", "")
         said = {} if limit is None else limit.attrib
-        effort, velocity = (abs(float(said.get(key) or 0.0)) for key in ("effort", "velocity"))
-        name = joint.get("name", "")
-        found[name] = ServoSettings(effort=effort or None, velocity_limit=velocity or None)
-        if not effort:
+        stated = {"effort": said.get("effort"), "velocity_limit": said.get("velocity")}
+        found[name] = {key: value for key, text in stated.items() if (value := abs(float(text or 0.0))) > 0.0}
+        if "effort" not in found[name]:
             silent.append(name)
     if len(found) > len(silent):
         notes.append("The limits of torque are the servos', not the joints'.")
     if silent:
         notes.append(f"{_some(silent)} state no limit of torque (effort).")
-    return {name: limits for name, limits in found.items() if limits != ServoSettings()}
+    return {name: limits for name, limits in found.items() if limits}
 
 
 def _numbers(text: str | None, file: Path) -> tuple[float, ...]:

@@ -168,10 +168,6 @@ class Robot:
 def names(): return ["maker_two"]
 def get(name): return Robot()
 """
-DESCRIPTIONS = """
-class About: license_spdx = "ISC"
-DESCRIPTIONS = {name: About() for name in ("two_mj_description", "two_description", "lost_description")}
-"""
 
 
 def test_menagerie(installed):
@@ -196,12 +192,13 @@ def test_menagerie(installed):
 def test_robot_descriptions(installed, tmp_path):
     place = RobotSettings("description:two_mj_description")
     assert "needs its package: pip install robot-descriptions" in refused(place)
-    (tmp_path / "two.urdf").write_text(LEGS)
+    (tmp_path / "robots").mkdir()
+    (tmp_path / "robots/two.urdf").write_text(LEGS)
+    (tmp_path / "LICENSE").write_text("Permission is hereby granted, free of charge, to any person")
     files = {
         "__init__": "",
-        "_descriptions": DESCRIPTIONS,
         "two_mj_description": f"MJCF_PATH = {str(tmp_path / 'gone.xml')!r}",
-        "two_description": f"URDF_PATH = {str(tmp_path / 'two.urdf')!r}",
+        "two_description": f"REPOSITORY_PATH, URDF_PATH = {str(tmp_path)!r}, {str(tmp_path / 'robots/two.urdf')!r}",
         "lost_description": "raise OSError('no network')",
     }
     package(installed, "robot_descriptions", {f"robot_descriptions/{name}.py": text for name, text in files.items()})
@@ -210,7 +207,7 @@ def test_robot_descriptions(installed, tmp_path):
         assert "cannot be downloaded: no network" in refused(RobotSettings("description:lost_description"))
         assert "Did you mean 'two_description'?" in refused(RobotSettings("description:to_description"))
         found = find_place("description:two_description")
-        assert (found.file.name, found.version, found.licence) == ("two.urdf", "1.2", "ISC")
+        assert (found.file.name, found.version, found.licence) == ("two.urdf", "1.2", "MIT")
     finally:
         for name in [name for name in sys.modules if name.startswith("robot_descriptions")]:
             del sys.modules[name]

@@ -112,13 +112,13 @@ def test_two_legs(tmp_path):
     assert model.jnt_range[1].tolist() == [-1.0, 1.0]
     # The torque is limited by the servo; a limit of the joint would slow it.
     assert not model.jnt_actfrclimited.any()
-    assert urdf.limits == {f"hip_{side}": ServoSettings(effort=7.0, velocity_limit=9.0) for side in "lr"}
+    assert urdf.limits == {f"hip_{side}": {"effort": 7.0, "velocity_limit": 9.0} for side in "lr"}
     assert any("free joint" in note for note in urdf.notes)
 
 
 def test_what_is_asked_of_a_servo_comes_before_the_files_limits(tmp_path):
     asked = {"hip_r": ServoSettings(effort=5.0), "hip_*": ServoSettings(stiffness=20.0)}
-    servos = read(tmp_path, LEGS).servos(asked)
+    servos = RobotSettings(servos=asked).within(read(tmp_path, LEGS).limits).servos
     assert servos["hip_r"] == ServoSettings(effort=5.0, velocity_limit=9.0)
     assert servos["hip_l"] == ServoSettings(stiffness=20.0, effort=7.0, velocity_limit=9.0)
     # In order: patterns come after the joints that they would cover.
