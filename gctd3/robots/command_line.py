@@ -11,7 +11,7 @@ FREE = "free"  # the option for a robot of one's own whose base is free
 
 
 def robot_file(argument: str) -> list[str]:
-    """Rewrite an argument that gives ``robot`` a file or several; return any other as it is.
+    """Return what Hydra reads in place of an argument that gives ``robot`` a file or several; any other as it is.
 
     Raises:
         RobotError: If there is no such file.
