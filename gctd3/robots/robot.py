@@ -5,10 +5,11 @@ Stage one of the data flow. Needs MuJoCo and NumPy, nothing else.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -21,6 +22,9 @@ from gctd3.robots.geometry import lowest_point
 from gctd3.robots.mirror_pairs import count_reflected, pair_joints, reflected_sign, swap_side
 from gctd3.robots.mjcf import Joint, body_name, colliding_geoms, load_mjcf, read_actuated, read_joints, root_body
 from gctd3.robots.standing_pose import check_standing, find_standing, find_start
+
+if TYPE_CHECKING:
+    from gctd3.robots.sources import Source
 
 _LATERAL = 0.7  # least component across the body of the axis of a hip that swings the leg forwards
 
@@ -43,6 +47,9 @@ class Robot:
             are mapped onto the servos' ranges.
         standing_command: Desired angle of each servo that holds the standing pose against the robot's weight (rad),
             see :func:`.find_standing_command`; ``None`` for the angles of the pose.
+        source: Where the file comes from; ``None`` for a model in memory.
+        notes: One sentence for each thing that was added to the file or changed.
+        held: Angle (rad) of each joint of the file that was fixed, by name.
     """
 
     model: mujoco.MjModel
@@ -54,6 +61,9 @@ class Robot:
     forward_axis: Axis = "x"
     action_scale: tuple[float, ...] | None = None
     standing_command: tuple[float, ...] | None = None
+    source: Source | None = field(default=None, compare=False)
+    notes: tuple[str, ...] = field(default=(), compare=False)
+    held: Mapping[str, float] = field(default_factory=dict, compare=False)
 
     @classmethod
     def from_mjcf(
@@ -74,6 +84,21 @@ class Robot:
             RobotError: If the file is missing, does not parse, or has no one root, no joint or no foot.
         """
         model, file = load_mjcf(source)
+        return cls.from_model(model, file, feet, forward)
+
+    @classmethod
+    def from_model(
+        cls,
+        model: mujoco.MjModel,
+        file: Path,
+        feet: str | Sequence[str] | None = None,
+        forward: Axis | None = None,
+        *,
+        source: Source | None = None,
+        notes: tuple[str, ...] = (),
+        held: Mapping[str, float] | None = None,
+    ) -> Robot:
+        """Read a robot from the compiled model of a file, which messages name; see :meth:`from_mjcf`."""
         root = root_body(model, file)
         joints = read_joints(model, root, file)
         if forward is not None and forward not in AXES:
@@ -83,7 +108,25 @@ class Robot:
             forward = find_forward(model, root, joints, reflected)
         names = find_feet(model, root, file) if feet is None else named_feet(model, root, feet, file)
         actuated = tuple(read_actuated(model, joints))
-        return cls(model, file, body_name(model, root), tuple(joints), actuated, tuple(names), forward)
+        return cls(
+            model,
+            file,
+            body_name(model, root),
+            tuple(joints),
+            actuated,
+            tuple(names),
+            forward,
+            source=source,
+            notes=notes,
+            held=held or {},
+        )
+
+    @property
+    def origin(self) -> str:
+        """Return where the file comes from and what was added to it, a line each; nothing if it ships as it is used."""
+        if self.source is None or (self.source.ships and not self.notes):
+            return ""
+        return "\n".join([f"Robot: {self.source}", *(f"  {note}" for note in self.notes)])
 
     # Base.
 

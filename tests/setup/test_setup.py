@@ -4,7 +4,7 @@ import mujoco
 import pytest
 from running import Recorded, command, tiny
 
-from gctd3.robots import robot as robot_module
+from gctd3.robots import load as load_module
 from gctd3.robots.graph import KinematicGraph
 
 FROM_ROBOT = KinematicGraph.from_robot.__func__
@@ -15,9 +15,9 @@ def seen(monkeypatch):
     """What was read and compiled, and over which robots graphs were built, in order."""
     found = []
 
-    def load(source):
-        found.append(f"read {source}")
-        return read(source)
+    def find(settings):
+        found.append(f"read {settings.name}")
+        return read(settings)
 
     def compiled(path, *rest):
         found.append("compile")
@@ -27,8 +27,8 @@ def seen(monkeypatch):
         found.append("graph")
         return FROM_ROBOT(cls, *arguments, **named)
 
-    read, from_path = robot_module.load_mjcf, mujoco.MjModel.from_xml_path
-    monkeypatch.setattr(robot_module, "load_mjcf", load)
+    read, from_path = load_module.find_source, mujoco.MjModel.from_xml_path
+    monkeypatch.setattr(load_module, "find_source", find)
     monkeypatch.setattr(mujoco.MjModel, "from_xml_path", staticmethod(compiled))
     monkeypatch.setattr(KinematicGraph, "from_robot", classmethod(build))
     return found

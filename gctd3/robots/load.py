@@ -1,0 +1,123 @@
+"""Load the robot that settings ask for: find its file, read it, complete what it lacks.
+
+Library code that has a model in memory builds a :class:`.Robot` from it directly, and completes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import mujoco
+
+from gctd3.errors import RobotError
+from gctd3.robots.action_scale import find_action_scale
+from gctd3.robots.robot import Robot
+from gctd3.robots.sources import Source, find_source
+from gctd3.robots.standing_command import find_standing_command
+from gctd3.robots.urdf import is_urdf, read_urdf
+
+if TYPE_CHECKING:
+    from gctd3.robots.settings import RobotSettings
+
+
+@dataclass(frozen=True)
+class Completed:
+    """Hold the model of a file with what was added to it.
+
+    Attributes:
+        model: The compiled model.
+        spec: What it was compiled from, which can be changed and compiled again.
+        notes: One sentence for each thing that was added or changed.
+        held: Angle (rad) of each joint that was fixed, by name.
+    """
+
+    model: mujoco.MjModel
+    spec: mujoco.MjSpec
+    notes: tuple[str, ...] = ()
+    held: Mapping[str, float] = field(default_factory=dict)
+
+
+def load_robot(settings: RobotSettings, feet: Sequence[str] | None = None) -> Robot:
+    """Load the robot that settings ask for, with other feet if some are named.
+
+    Raises:
+        RobotError: If there is no such file, it cannot be read, or it is no robot.
+    """
+    source = find_source(settings)
+    spec, settings, notes = read_spec(source, settings)
+    completed = _complete(spec, source.file, settings)
+    robot = Robot.from_model(
+        completed.model,
+        source.file,
+        settings.feet if feet is None else feet,
+        settings.forward,
+        source=source,
+        notes=(*notes, *completed.notes),
+        held=completed.held,
+    )
+    scale = find_action_scale(robot, settings.action_scale)
+    if scale is None:
+        return robot
+    return replace(robot, action_scale=scale, standing_command=tuple(find_standing_command(robot).tolist()))
+
+
+def read_spec(source: Source, settings: RobotSettings) -> tuple[mujoco.MjSpec, RobotSettings, tuple[str, ...]]:
+    """Read a robot's file without compiling it.
+
+    Returns:
+        What it says; the settings, with what it says of servos and MuJoCo has no place for; and notes on what was
+        changed to read it.
+
+    Raises:
+        RobotError: If it cannot be read.
+    """
+    if is_urdf(source.file):
+        read = read_urdf(source.file)
+        return read.spec, settings.within(read.limits), read.notes
+    return parse_mjcf(source.file), settings, ()
+
+
+def floats(file: Path) -> bool:
+    """Tell whether the robot of a file has a free base, without compiling it; of a file that is damaged ``False``."""
+    if is_urdf(file):
+        return True
+    try:
+        spec = parse_mjcf(file)
+    except RobotError:
+        return False  # for the one who loads it to say
+
+    def floating(body: mujoco.MjsBody) -> bool:
+        return any(int(joint.type) == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+
+    # A body with a free joint and nothing else, such as a ball, is scenery.
+    return any(floating(body) and len(body.find_all("joint")) > 1 for body in spec.worldbody.bodies)
+
+
+def parse_mjcf(file: Path) -> mujoco.MjSpec:
+    """Parse an MJCF file, without compiling it.
+
+    Raises:
+        RobotError: If it is not one.
+    """
+    try:
+        return mujoco.MjSpec.from_file(str(file))
+    except UnicodeDecodeError as error:
+        raise RobotError(f"{file} has a name that is not UTF-8: {error}") from error
+    except ValueError as error:
+        raise RobotError(f"{file} is not an MJCF that MuJoCo can compile: {error}") from error
+
+
+def _complete(spec: mujoco.MjSpec, file: Path, settings: RobotSettings) -> Completed:
+    """Compile a file as it is."""
+    try:
+        # As MuJoCo reads the file by itself, to the last bit.
+        model = spec.compile() if is_urdf(file) else mujoco.MjModel.from_xml_path(str(file))
+        bytes(model.names).decode()
+    except UnicodeDecodeError as error:
+        raise RobotError(f"{file} has a name that is not UTF-8: {error}") from error
+    except ValueError as error:
+        raise RobotError(f"{file} is not an MJCF that MuJoCo can compile: {error}") from error
+    return Completed(model, spec)
