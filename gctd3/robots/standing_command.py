@@ -18,8 +18,8 @@ def find_standing_command(robot: Robot) -> np.ndarray:
     """Find the desired angle of each servo that holds the standing pose, shape ``[A]`` (rad).
 
     A servo carries weight only by an error of its angle: a soft one that is told the standing pose sags. The robot is
-    held in the pose by stiff springs for a second; the torque that they need, divided by the servo's stiffness, is added
-    to the pose. A robot that tips over meanwhile gets the pose itself.
+    held in the pose by stiff springs for a second; the torque that they need, divided by the servo's stiffness, is
+    added to the pose. A robot that tips over meanwhile gets the pose itself.
 
     Args:
         robot: The robot; every action is a position servo's.

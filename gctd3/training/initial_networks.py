@@ -38,7 +38,7 @@ def begin_from(algorithm: Algorithm, run: Path) -> int:
         if there != getattr(values, "shape", None):
             raise RunError(
                 f"init={run}: its {name} has shape {list(there or [])}, this training's {list(values.shape)}. The "
-                "network's sizes and what a node observes must be the same, and the joints too unless they share weights."
+                "network's sizes and what a node observes must be the same, and the joints unless they share weights."
             )
     fit(run, lambda: algorithm.loss.load_state_dict(given))
     return int(state["counters"]["frames"])

@@ -34,16 +34,16 @@ class StopWhen:
     A policy that meets more of the conditions counts as better; among equals the higher return does.
 
     Attributes:
-        at_least: Lowest values, by the name of the metric.
-        at_most: Highest values, by the name of the metric.
+        at_least: Lowest values, by the name of the metric; ``None`` leaves a condition out.
+        at_most: Highest values, by the name of the metric; ``None`` leaves a condition out.
         evaluations: Evaluations in a row that must meet all conditions to end the training; ``None`` to train on.
         restart_after: Frames without an evaluation that meets all conditions, after which the training begins again
             with new weights and an empty replay: random restarts, against seeds that settle on a bad gait. ``None`` for
             never.
     """
 
-    at_least: Mapping[str, float] = field(default_factory=dict)
-    at_most: Mapping[str, float] = field(default_factory=dict)
+    at_least: Mapping[str, float | None] = field(default_factory=dict)
+    at_most: Mapping[str, float | None] = field(default_factory=dict)
     evaluations: int | None = None
     restart_after: int | None = None
 
@@ -61,14 +61,18 @@ class StopWhen:
 
     def reached(self, metrics: Mapping[str, float]) -> int:
         """Count the conditions that hold; an undefined metric meets none."""
-        low = sum(metrics.get(name, math.nan) >= bound for name, bound in self.at_least.items())
-        high = sum(metrics.get(name, math.nan) <= bound for name, bound in self.at_most.items())
+        low = sum(metrics.get(name, math.nan) >= bound for name, bound in _bounds(self.at_least))
+        high = sum(metrics.get(name, math.nan) <= bound for name, bound in _bounds(self.at_most))
         return low + high
 
     def all_reached(self, metrics: Mapping[str, float]) -> bool:
         """Return whether all conditions hold."""
-        return self.reached(metrics) == len(self.at_least) + len(self.at_most)
+        return self.reached(metrics) == len(_bounds(self.at_least)) + len(_bounds(self.at_most))
 
     def score(self, metrics: Mapping[str, float]) -> float:
         """Return a score that ranks policies by the conditions that they meet, then by return."""
         return self.reached(metrics) + (1.0 + math.tanh(metrics["return_mean"] / 1e4)) / 2.0
+
+
+def _bounds(conditions: Mapping[str, float | None]) -> list[tuple[str, float]]:
+    return [(name, bound) for name, bound in conditions.items() if bound is not None]
