@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from gctd3.errors import RobotError
+from gctd3.robots.mirror_pairs import pair_joints
 from gctd3.robots.mjcf import Joint, base_joints, body_name, joint_kind, joint_name, standing_pose
 
 Axis = Literal["x", "-x", "y", "-y"]
@@ -175,19 +176,24 @@ class Base:
         return {**read, **{name: (angles[i], rates[..., i]) for i, name in enumerate(TURNS)}}
 
 
-def find_forward(model: mujoco.MjModel, root: int, joints: list[Joint], reflected: dict[str, int]) -> Axis:
+def find_forward(model: mujoco.MjModel, root: int, joints: list[Joint]) -> Axis:
     """Find the default forward axis: the base's only horizontal slide, else the axis for which the sides are equal.
+
+    That is ``y`` if more joints have a reflection among the joints for forward ``y`` than for ``x``, else ``x``.
 
     Args:
         model: The model.
         root: Index of the root body.
         joints: The robot's joints; unused if the base has one horizontal slide.
-        reflected: Number of joints with a mirror image for forward ``x`` and ``y``; equal numbers give ``x``.
     """
     slides = [axis for axis in ("x", "y") if "forward" in Base(model, root, axis).single]
     if len(slides) == 1:
         return "x" if slides[0] == "x" else "y"
-    return "y" if joints and reflected["y"] > reflected["x"] else "x"
+    if not joints:
+        return "x"
+    pose = standing_pose(model)
+    x, y = (len(pair_joints(model, root, joints, pose, Base(model, root, a).frame[1]).placed) for a in ("x", "y"))
+    return "y" if y > x else "x"
 
 
 def _signed(values: np.ndarray, sign: float) -> np.ndarray:
