@@ -3,9 +3,11 @@
 The mirror image of a transition is a transition of the robot if to reflect and then to step is to step and then to
 reflect. :func:`check_mirror` decides that in three stages, and names the part that fails.
 
-1. What a file says in so many words has to mirror exactly, to 1e-6: where joints are, their axes, ranges, damping and
-   friction, and their actuators' gears, gains and limits. A joint whose partner turns the other way, or whose actuator
-   has a negative gear, has its numbers mirrored with the sign; that is only another convention.
+1. What a file says in so many words has to mirror exactly, to 1e-6: the joints' ranges, damping and friction, and their
+   actuators' gears, gains and limits. A joint whose partner turns the other way, or whose actuator has a negative gear,
+   has its numbers mirrored with the sign; that is only another convention. Where joints are may differ by what files
+   round away, 0.01 mm and 1e-4 rad; rotors' inertia, and the servos' damping that the compiler derives from a damping
+   ratio and from masses, by 1 %.
 2. Masses need not be equal, since no real robot's are (a trunk's centre of mass lies millimetres off the middle), nor
    need meshes of feet. What such differences may amount to is measured where it counts, in the motion: from 100 random
    states with random actions, over one control step, in the air and on the ground, the two orders of stepping and
@@ -14,7 +16,7 @@ reflect. :func:`check_mirror` decides that in three stages, and names the part t
    masses a robot has. This is the residual; it may be at most :data:`MOST_RESIDUAL`.
 3. In the air, where nothing but masses may differ, masses have to explain the residual: of a copy of the model whose
    masses, centres of mass and inertias are the means of both sides', it must vanish, up to :data:`MOST_UNEXPLAINED`.
-   So whatever else is not the same, tendons, passive joints or springs that are not symmetric, does not pass unnoticed.
+   So whatever else is not the same, a tendon or a closed loop on one side, does not pass unnoticed.
 """
 
 from __future__ import annotations
@@ -28,18 +30,22 @@ import mujoco
 import numpy as np
 
 from gctd3.robots.geometry import geom_points
-from gctd3.robots.mirror_pairs import Plane, line_distance, pair_joints, reflect_axes, zero_pose
-from gctd3.robots.mjcf import Joint, base_joints, body_name, bodies_below, colliding_geoms, joint_kind, read_joints
+from gctd3.robots.mirror_pairs import line_distance, pair_joints, reflect_axes, zero_pose
+from gctd3.robots.mjcf import Joint, base_joints, bodies_below, body_name, colliding_geoms, joint_kind, read_joints
 from gctd3.robots.robot import Robot
 from gctd3.robots.standing_pose import ground_height
 
 STATES = 100  # compared in the air, and as many on the ground
 MOST_RESIDUAL = 0.05  # of the motion of one step: less than what policies are trained to bear by randomised masses
-MOST_UNEXPLAINED = 1e-6  # of the motion, with the masses of both sides made equal
+MOST_UNEXPLAINED = 1e-3  # of the motion, with the masses of both sides made equal
 _EXACT = 1e-6  # of a number, or of a unit where it is below 1
+_ROUNDED = 1e-4  # rad, of axes
+_DERIVED = 0.01  # of a number that is derived from masses
+_PLACED = 1e-5  # m, or of the robot's extent where that is more than 1 m
 _ALIKE = 1e-9  # of the robot's mass or extent: masses that need no copy in which they are equal
-_SHAPE = 0.02  # of the robot's extent: how far the reflected outline of a foot may be from the other foot's
-_OWN = 0.001  # m: how deep the lowest foot is in the ground
+_DEPTH = 0.001  # m: how deep the lowest foot is in the ground
+_DRAWS = 6  # of a state on the ground, ever nearer to standing, until no parts lie in one another
+_SIZES = {"free": 6, "ball": 3}  # degrees of freedom
 
 
 @dataclass(frozen=True)
@@ -67,21 +73,31 @@ class MirrorCheck:
 
 
 def check_mirror(robot: Robot, control_dt: float) -> MirrorCheck:
-    """Decide whether a robot may be mirrored, see the module's description.
+    """Decide whether a robot may be mirrored, see the module's description; once for each robot and period.
 
     Args:
         robot: The robot.
         control_dt: Control period (s).
     """
+    if control_dt not in robot.mirror_checks:
+        robot.mirror_checks[control_dt] = _check(robot, control_dt)
+    return robot.mirror_checks[control_dt]
+
+
+def _check(robot: Robot, control_dt: float) -> MirrorCheck:
+    balls = [joint.name for joint in robot.joints if joint.kind == "ball"]
+    if balls:
+        return MirrorCheck(False, np.nan, f"joint {balls[0]!r}: a ball's rotation has no reflection among the features")
     image = ModelReflection(robot)
-    for reason in image.differences():
+    reason = next(image.differences(), None)
+    if reason is not None:
         return MirrorCheck(False, np.nan, reason)
     masses, shapes = image.masses(), image.shapes()
     steps = max(round(control_dt / robot.model.opt.timestep), 1)
     air = image.residual(robot.model, steps, ground=None)
     unexplained = air
-    if masses.largest > _ALIKE:
-        unexplained = image.residual(masses.equalised(), steps, ground=None, states=STATES // 5)
+    if air.total > MOST_UNEXPLAINED:
+        unexplained = image.residual(masses.equalised(), steps, ground=None, states=STATES // 10)
     if unexplained.total > MOST_UNEXPLAINED:
         return MirrorCheck(False, unexplained.total, image.blame(unexplained))
     residual, ground = air, ground_height(robot.model)
@@ -125,9 +141,8 @@ class ModelReflection:
         model, root = robot.model, robot.base.root
         self.root, self.lateral, self.matrix = root, self.plane.lateral, self.plane.matrix
         # All of them: joints that nothing drives move, too.
-        self.joints = [*_base(model, root), *read_joints(model, root, robot.path)]
-        standing = robot.standing_qpos
-        inner = [joint for joint in self.joints if joint.body != robot.root or joint.id not in base_joints(model, root)]
+        inner, standing = read_joints(model, root, robot.path), robot.standing_qpos
+        self.joints = [*_base(model, root), *inner]
         last = {leg[-1].name for leg in robot.legs if leg}
         images = pair_joints(model, root, inner, standing, self.lateral, last).images
         # The task's joints mirror each other as the robot says; the others follow them.
@@ -144,7 +159,9 @@ class ModelReflection:
             for joint in self.joints
         }
         bodies = bodies_below(model, root)
-        extent = np.ptp(np.concatenate([self.data.xanchor[[j.id for j in self.joints]], self.data.xpos[bodies]]), axis=0)
+        extent = np.ptp(
+            np.concatenate([self.data.xanchor[[j.id for j in self.joints]], self.data.xpos[bodies]]), axis=0
+        )
         self.extent = max(float(extent.max()), 1e-6)
 
     def partner(self, joint: Joint) -> Joint:
@@ -182,20 +199,20 @@ class ModelReflection:
     def _place(self, joint: Joint, other: Joint) -> Iterator[str]:
         data = self.data
         off = float(np.linalg.norm(np.cross(self.turned[joint.name], data.xaxis[other.id])))
-        if joint.kind != "ball" and off > _EXACT:
-            yield f"joint {_both(joint, other)}: the reflected axis is {np.degrees(np.arcsin(min(off, 1.0))):.2g} degrees off"
+        if joint.kind in ("hinge", "slide") and off > _ROUNDED:
+            turn = np.degrees(np.arcsin(min(off, 1.0)))
+            yield f"joint {_both(joint, other)}: the reflected axis is {turn:.2g} degrees off"
         if self.robot.base.free is None and joint.name not in self.robot.mirror and joint.body == self.robot.root:
             return  # a base may be hung up anywhere
         gap = self.seen(self.plane.place(data.xanchor[joint.id]) - data.xanchor[other.id])
         away = float(line_distance(gap[None], data.xaxis[other.id][None], [joint.kind])[0])
-        if joint.kind != "free" and away > _EXACT * max(1.0, self.extent):
+        if joint.kind != "free" and away > _PLACED * max(1.0, self.extent):
             yield f"joint {_both(joint, other)}: the reflected anchor is {_mm(away)} off"
 
     def _numbers(self, joint: Joint, other: Joint) -> Iterator[str]:
         """Compare numbers of two joints: those that turn round with the joint, and those that do not."""
         model, sign, where = self.model, self.sign[joint.name], f"joint {_both(joint, other)}"
-        here, there = model.jnt(joint.id), model.jnt(other.id)
-        size = {"free": 6, "ball": 3}.get(joint.kind, 1)
+        size = _SIZES.get(joint.kind, 1)
         dofs, images = slice(joint.qvel, joint.qvel + size), slice(other.qvel, other.qvel + size)
         single = size == 1
         for name, field in (("range", "jnt_range"), ("limit of its actuators' force", "jnt_actfrcrange")):
@@ -204,20 +221,18 @@ class ModelReflection:
             if limited[joint.id] != limited[other.id]:
                 yield f"{where}: only one has a {name}"
             elif limited[joint.id] and single and not _same(_turned(one, sign), two):
-                yield f"{where}: {name} {_numbers(one)}, mirrored {_numbers(_turned(one, sign))}, is not {_numbers(two)}"
-        if single and not _same(sign * model.qpos_spring[joint.qpos], model.qpos_spring[other.qpos]):
-            stiff = float(np.abs(np.ravel(here.stiffness)).max())
-            if stiff > 0:
-                yield f"{where}: the spring's rest is not mirrored"
+                yield f"{where}: {name} {_numbers(one)} is not the mirror image of {_numbers(two)}"
+        sprung = single and np.abs(model.jnt_stiffness[joint.id]).max() > 0
+        if sprung and not _same(sign * model.qpos_spring[joint.qpos], model.qpos_spring[other.qpos]):
+            yield f"{where}: the spring's rest is not mirrored"
         for name, field in (("stiffness", "jnt_stiffness"), ("margin", "jnt_margin")):
             one, two = getattr(model, field)[joint.id], getattr(model, field)[other.id]
-            if not _same(one, two):
+            if not np.allclose(one, two, rtol=_DERIVED if name == "armature" else _EXACT, atol=_EXACT):
                 yield f"{where}: {name} {_numbers(one)} is not {_numbers(two)}"
-        for name, field in (("damping", "dof_damping"), ("armature", "dof_armature"), ("friction loss", "dof_frictionloss")):
-            one, two = getattr(model, field)[dofs], getattr(model, field)[images]
-            if not _same(one, two):
+        for name in ("damping", "armature", "frictionloss"):
+            one, two = (getattr(model, f"dof_{name}")[of] for of in (dofs, images))
+            if not np.allclose(one, two, rtol=_DERIVED if name == "armature" else _EXACT, atol=_EXACT):
                 yield f"{where}: {name} {_numbers(one)} is not {_numbers(two)}"
-        del there
 
     def _actuators(self) -> Iterator[str]:
         robot, model = self.robot, self.model
@@ -230,25 +245,30 @@ class ModelReflection:
                 continue
             i, j, sign = robot.actuators[k], robot.actuators[order[k]], signs[k]
             where = f"actuator {_named(robot.action_names[k], robot.action_names[order[k]])}"
-            kinds = [(model.actuator_dyntype[a], model.actuator_gaintype[a], model.actuator_biastype[a]) for a in (i, j)]
+            kinds = [
+                (model.actuator_dyntype[a], model.actuator_gaintype[a], model.actuator_biastype[a]) for a in (i, j)
+            ]
             if kinds[0] != kinds[1]:
                 yield f"{where}: they are of different kinds"
             for field, one, two in (
                 ("gear", np.abs(model.actuator_gear[i]), np.abs(model.actuator_gear[j])),
                 ("gain", model.actuator_gainprm[i], model.actuator_gainprm[j]),
-                ("stiffness and damping", model.actuator_biasprm[i, 1:], model.actuator_biasprm[j, 1:]),
+                ("stiffness", model.actuator_biasprm[i, 1:2], model.actuator_biasprm[j, 1:2]),
                 ("bias", sign * model.actuator_biasprm[i, :1], model.actuator_biasprm[j, :1]),
                 ("dynamics", model.actuator_dynprm[i], model.actuator_dynprm[j]),
             ):
                 if not _same(one, two):
                     yield f"{where}: {field} {_numbers(one)} is not {_numbers(two)}"
+            one, two = model.actuator_biasprm[i, 2:], model.actuator_biasprm[j, 2:]
+            if not np.allclose(one, two, rtol=_DERIVED, atol=_EXACT):
+                yield f"{where}: damping {_numbers(one)} is not {_numbers(two)}"
             for field in ("force", "ctrl"):
                 limited, limits = (getattr(model, f"actuator_{field}{end}") for end in ("limited", "range"))
                 one, two = _turned(limits[i], sign), limits[j]
                 if limited[i] != limited[j]:
                     yield f"{where}: only one has a {field}range"
                 elif limited[i] and not _same(one, two):
-                    yield f"{where}: {field}range {_numbers(limits[i])}, mirrored {_numbers(one)}, is not {_numbers(two)}"
+                    yield f"{where}: {field}range {_numbers(limits[i])} is not the mirror image of {_numbers(two)}"
             if not _same(sign * centre[k], centre[order[k]]):
                 yield f"{where}: an action of 0 asks for {centre[k]:.4g} rad and {centre[order[k]]:.4g} rad"
             if not _same(scale[k], scale[order[k]]):
@@ -271,7 +291,7 @@ class ModelReflection:
     def shapes(self) -> str:
         """Name the foot whose outline differs most from its image's; empty if none does."""
         robot, order = self.robot, self.robot.mirror_feet
-        worst, said = _EXACT * max(1.0, self.extent), ""
+        worst, said = _PLACED * max(1.0, self.extent), ""
         bodies = {body_name(self.model, b): b for b in bodies_below(self.model, self.root)}
         for i, k in enumerate(order):
             if k < i:
@@ -315,7 +335,7 @@ class ModelReflection:
                 place, spin = self.plane.place(qpos[q : q + 3]), -frame @ qvel[v + 3 : v + 6]
                 mirrored[q : q + 3], mirrored[q + 3 : q + 7] = place - arm, _quaternion(turn)
                 speed[v + 3 : v + 6] = spin
-                speed[v : v + 3] = self.matrix @ qvel[v : v + 3] - np.cross(turn @ spin, arm)
+                speed[v : v + 3] = self.matrix @ qvel[v : v + 3] - _cross(turn @ spin, arm)
             elif joint.kind == "ball":
                 frame, _ = self._frames[joint.id]
                 mirrored[p : p + 4] = _quaternion(frame @ _matrix(qpos[q : q + 4]) @ frame.T)
@@ -349,7 +369,7 @@ class ModelReflection:
         enabled = model.opt.disableflags
         order, signs = robot.action_mirror
         centre, scale = _action_map(robot)
-        dofs = [d for j in self.joints for d in range(j.qvel, j.qvel + {"free": 6, "ball": 3}.get(j.kind, 1))]
+        dofs = [d for j in self.joints for d in range(j.qvel, j.qvel + _SIZES.get(j.kind, 1))]
         apart, motion, inertia = 0.0, 0.0, np.zeros((model.nv, model.nv))
         parts = np.zeros((2, model.nv))
 
@@ -385,8 +405,27 @@ class ModelReflection:
 
     def _draw(self, rng: np.random.Generator, ground: float | None) -> tuple[np.ndarray, np.ndarray]:
         """Draw a state about the standing pose; on the ground its lowest foot just touches."""
-        model, size = self.model, 1.0 if ground is None else 0.5
-        qpos, qvel = self.robot.standing_qpos.copy(), np.zeros(model.nv)
+        if ground is None:
+            return self._near_standing(rng, 1.0)
+        size, data, height = 0.5, self._scratch, self.robot.base.height
+        for _ in range(_DRAWS):
+            qpos, qvel = self._near_standing(rng, size)
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(self.model, data)
+            low = [points[:, 2].min() for g in self._feet if len(points := geom_points(self.model, data, g))]
+            if low and height is not None:
+                qpos[height.qpos] -= height.sign * (min(low) - ground + _DEPTH)
+                data.qpos[:] = qpos
+                mujoco.mj_kinematics(self.model, data)
+            # Parts that lie in one another, which no motion leads to, are thrown apart in a direction of no meaning.
+            mujoco.mj_collision(self.model, data)
+            if not data.ncon or data.contact.dist[: data.ncon].min() > -2.0 * _DEPTH:
+                break
+            size *= 0.5
+        return qpos, qvel
+
+    def _near_standing(self, rng: np.random.Generator, size: float) -> tuple[np.ndarray, np.ndarray]:
+        qpos, qvel = self.robot.standing_qpos.copy(), np.zeros(self.model.nv)
         for joint in self.joints:
             q, v = joint.qpos, joint.qvel
             if joint.kind == "free":
@@ -399,14 +438,7 @@ class ModelReflection:
             else:
                 reach = 0.1 * self.extent if joint.kind == "slide" else 0.4
                 drawn = qpos[q] + size * rng.uniform(-reach, reach)
-                qpos[q], qvel[v] = np.clip(drawn, *joint.range), size * 5.0 * reach * rng.normal()
-        height = self.robot.base.height
-        if ground is not None and height is not None:
-            self._scratch.qpos[:] = qpos
-            mujoco.mj_kinematics(model, self._scratch)
-            low = [points[:, 2].min() for g in self._feet if len(points := geom_points(model, self._scratch, g))]
-            if low:
-                qpos[height.qpos] -= height.sign * (min(low) - ground + _OWN)
+                qpos[q], qvel[v] = min(max(drawn, joint.range[0]), joint.range[1]), size * 5.0 * reach * rng.normal()
         return qpos, qvel
 
     @cached_property
@@ -463,10 +495,17 @@ class Masses:
         return float(abs(lateral @ gap @ lateral)) if self.image.flat else float(np.linalg.norm(gap))
 
     def equalised(self) -> mujoco.MjModel:
-        """Return a copy of the model in which both sides have the means of their masses."""
+        """Return a copy of the model in which both sides have the means of their masses and of what derives from them."""
         image, model = self.image, copy.copy(self.image.model)
+        for joint in image.joints:
+            pair = [[j.qvel + d for d in range(_SIZES.get(j.kind, 1))] for j in (joint, image.partner(joint))]
+            model.dof_armature[pair[0]] = image.model.dof_armature[pair].mean(axis=0)
+        actuators = np.array(image.robot.actuators, dtype=np.int64)
+        damping = image.model.actuator_biasprm[actuators, 2]
+        model.actuator_biasprm[actuators, 2] = (damping + damping[image.robot.action_mirror[0]]) / 2
         for link, other in image.links.items():
-            mass, centre, inertia = ((a + b) / 2 for a, b in zip(self.found[link], self._reflected(other), strict=True))
+            (m, c, i), (n, d, k) = self.found[link], self._reflected(other)
+            mass, centre, inertia = (m + n) / 2, (c + d) / 2, (i + k) / 2
             turn = image.data.xmat[link].reshape(3, 3)
             moments, axes = np.linalg.eigh(turn.T @ inertia @ turn)
             axes[:, 0] *= np.sign(np.linalg.det(axes))
@@ -529,6 +568,12 @@ def _quaternion(turn: np.ndarray) -> np.ndarray:
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(turn).reshape(9))
     return quaternion
+
+
+def _cross(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    crossed = np.zeros(3)
+    mujoco.mju_cross(crossed, one, two)
+    return crossed
 
 
 def _turned(limits: np.ndarray, sign: float) -> np.ndarray:

@@ -191,18 +191,12 @@ def read_joints(model: mujoco.MjModel, root: int, file: Path) -> list[Joint]:
     return joints
 
 
-def actuators_of(model: mujoco.MjModel, joints: Sequence[Joint]) -> list[int]:
-    """Return the indices of the actuators that drive one of ``joints``; motors and servos alike."""
-    ids = {joint.id for joint in joints}
-    on_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    driving = [i for i in range(model.nu) if model.actuator_trntype[i] in on_joint]
-    return [i for i in driving if int(model.actuator_trnid[i, 0]) in ids]
-
-
 def read_actuated(model: mujoco.MjModel, joints: Sequence[Joint]) -> list[str]:
     """Return the joint that each actuator drives, for those that drive one of ``joints``; motors and servos alike."""
     names = {joint.id: joint.name for joint in joints}
-    return [names[int(model.actuator_trnid[i, 0])] for i in actuators_of(model, joints)]
+    on_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    driven = [int(model.actuator_trnid[i, 0]) for i in range(model.nu) if model.actuator_trntype[i] in on_joint]
+    return [names[joint] for joint in driven if joint in names]
 
 
 def colliding_geoms(model: mujoco.MjModel, body: int) -> list[int]:

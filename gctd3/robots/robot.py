@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -20,7 +21,6 @@ from gctd3.robots.floating_base import AXES, Axis, Base, find_forward
 from gctd3.robots.mirror_pairs import Pairs, Plane, pair_joints, reflected_sign, swap_side, zero_pose
 from gctd3.robots.mjcf import (
     Joint,
-    actuators_of,
     body_name,
     colliding_geoms,
     load_mjcf,
@@ -30,6 +30,9 @@ from gctd3.robots.mjcf import (
     standing_pose,
 )
 from gctd3.robots.standing_pose import check_standing, find_standing, find_start
+
+if TYPE_CHECKING:
+    from gctd3.robots.mirror_check import MirrorCheck
 
 
 @dataclass(frozen=True)
@@ -298,6 +301,11 @@ class Robot:
         return tuple((i, other) if other != i else (i,) for i, other in enumerate(self.mirror_feet) if i <= other)
 
     @cached_property
+    def mirror_checks(self) -> dict[float, MirrorCheck]:
+        """Return the verdicts of :func:`.check_mirror` so far, by control period (s)."""
+        return {}
+
+    @cached_property
     def action_mirror(self) -> tuple[np.ndarray, np.ndarray]:
         """Return permutation and sign: ``sign * action[..., permutation]`` is the mirrored action. Each ``[A]``.
 
@@ -316,7 +324,10 @@ class Robot:
     @property
     def actuators(self) -> tuple[int, ...]:
         """Return MuJoCo's index of the actuator of each joint of :attr:`actuated`."""
-        return tuple(actuators_of(self.model, self.joints))
+        model, ids = self.model, {joint.id for joint in self.joints}
+        on_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        driving = [i for i in range(model.nu) if model.actuator_trntype[i] in on_joint]
+        return tuple(i for i in driving if int(model.actuator_trnid[i, 0]) in ids)
 
     # Requirements of the walking task beyond a graph.
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from gctd3.errors import RobotError
 from gctd3.robots.graph import KinematicGraph
-from gctd3.robots.mirror_pairs import unreflected
+from gctd3.robots.mirror_check import check_mirror
 from gctd3.robots.robot import Robot
 from gctd3.tasks.feature_table import FeatureTable
 from gctd3.tasks.features import paper_features
@@ -72,6 +72,7 @@ class Reflection:
         table: FeatureTable,
         counters: Sequence[tuple[np.ndarray, np.ndarray]] = (),
         static: int = 0,
+        control_dt: float = 0.02,
     ) -> Reflection:
         """Return the reflection of a robot whose nodes have the features of a table.
 
@@ -84,17 +85,17 @@ class Reflection:
             counters: Source and sign of each part of the critics' privileged input, see
                 :meth:`.Termination.clock_mirror`.
             static: Number of constant features of a node, after those of all frames, see :meth:`.NodeSensor.static`.
+            control_dt: Control period (s), over which the two sides must move alike.
 
         Raises:
-            RobotError: If the robot has a ball joint, or its base can leave the sagittal plane and its joints are not
-                symmetric to that plane.
+            RobotError: If the robot is not the same on its left and its right, see :func:`.check_mirror`.
         """
-        _check_reflected(robot)
-        graph = table.graph
-        if balls := [name for name, kind in zip(graph.nodes, graph.kinds, strict=True) if kind == "ball"]:
+        verdict = check_mirror(robot, control_dt)
+        if not verdict.symmetric:
             raise RobotError(
-                f"{robot.path}: a ball joint's rotation has no reflection here, so replay.mirror and equivariant must "
-                f"be false; ball joints: {', '.join(balls)}."
+                f"{robot.path} is not the same on its left and its right, so that its motions have no mirror images. "
+                "Set replay.mirror=false, and network.equivariant=false if that is on; or mend what differs: "
+                f"{verdict.reason}."
             )
         sources, signs, start = [np.zeros(0, dtype=np.int64)], [np.zeros(0)], 0
         for source, sign in counters:
@@ -142,17 +143,4 @@ class Reflection:
         return SignedPermutation(
             np.concatenate([source.reshape(count, -1), still], axis=1).reshape(-1),
             np.concatenate([sign.reshape(count, -1), np.ones(still.shape)], axis=1).reshape(-1),
-        )
-
-
-def _check_reflected(robot: Robot) -> None:
-    """Raise unless the joints are symmetric, or the base stays in the sagittal plane, where it does not matter."""
-    if not {"side", "roll", "yaw"} & set(robot.base.coordinates):
-        return
-    odd = unreflected(robot.model, robot.joints, robot.mirror, robot.base.frame[1])
-    if odd:
-        raise RobotError(
-            f"{robot.path} is not the same on its left and its right, so that no motion of it has a mirror image. Set "
-            "replay.mirror=false, and network.equivariant=false if that is on; or mend these joints, whose reflection "
-            f"is neither themselves nor the joint of the other side: {', '.join(odd)}."
         )

@@ -216,7 +216,7 @@ class SimulatedTask:
     def reflection(self) -> Reflection:
         """Return the reflection of observations, actions and counters."""
         mirrors = [term.clock_mirror(self.facts) for term in self.terminations.values()]
-        return Reflection.of(self.robot, self.table, mirrors)
+        return Reflection.of(self.robot, self.table, mirrors, control_dt=self.control_dt)
 
     # Episodes.
 
