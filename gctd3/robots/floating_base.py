@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from gctd3.errors import RobotError
-from gctd3.robots.mirror_pairs import pair_joints
+from gctd3.robots.mirror_pairs import pair_joints, swap_side
 from gctd3.robots.mjcf import Joint, base_joints, body_name, joint_kind, joint_name, standing_pose
 
 Axis = Literal["x", "-x", "y", "-y"]
@@ -179,7 +179,8 @@ class Base:
 def find_forward(model: mujoco.MjModel, root: int, joints: list[Joint]) -> Axis:
     """Find the default forward axis: the base's only horizontal slide, else the axis for which the sides are equal.
 
-    That is ``y`` if more joints have a reflection among the joints for forward ``y`` than for ``x``, else ``x``.
+    That is ``y`` if more joints lie at the reflected place of another one for forward ``y`` than for ``x``, or as many
+    and more of them with names of two sides; else ``x``. Joints in the middle say little: a waist is in both planes.
 
     Args:
         model: The model.
@@ -191,9 +192,14 @@ def find_forward(model: mujoco.MjModel, root: int, joints: list[Joint]) -> Axis:
         return "x" if slides[0] == "x" else "y"
     if not joints:
         return "x"
-    pose = standing_pose(model)
-    x, y = (len(pair_joints(model, root, joints, pose, Base(model, root, a).frame[1]).placed) for a in ("x", "y"))
-    return "y" if y > x else "x"
+    pose, names = standing_pose(model), [joint.name for joint in joints]
+
+    def sides(axis: Axis) -> tuple[int, int]:
+        found = pair_joints(model, root, joints, pose, Base(model, root, axis).frame[1])
+        pairs = [name for name in found.placed if found.images[name] != name]
+        return len(pairs), sum(swap_side(name, names) == found.images[name] for name in pairs)
+
+    return "y" if sides("y") > sides("x") else "x"
 
 
 def _signed(values: np.ndarray, sign: float) -> np.ndarray:

@@ -293,7 +293,7 @@ class _Matching:
 
     def _ranked(self, here: Sequence[int], there: Sequence[int]) -> list[tuple[int, int]]:
         """Return the pairs to try, the best first: by place, names deciding among equals; then by name alone."""
-        known = [self.names[k] for k in (*here, *there)]
+        known = {self.names[k] for k in (*here, *there)}
         ranked = []
         for i in here:
             other = swap_side(self.names[i], known)
