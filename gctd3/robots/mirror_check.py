@@ -46,6 +46,12 @@ _PLACED = 1e-5  # m, or of the robot's extent where that is more than 1 m
 _ALIKE = 1e-9  # of the robot's mass or extent: masses that need no copy in which they are equal
 _DEPTH = 0.001  # m: how deep the lowest foot is in the ground
 _DRAWS = 6  # of a state on the ground, ever nearer to standing, until no parts lie in one another
+# What decides how feet touch, besides their shapes.
+_TOUCH = {
+    "friction": ("friction", "condim", "priority"),
+    "softness": ("solref", "solimp", "solmix", "margin", "gap"),
+    "collision mask": ("contype", "conaffinity"),
+}
 _SIZES = {"free": 6, "ball": 3}  # degrees of freedom
 
 
@@ -106,7 +112,7 @@ def _check(robot: Robot, control_dt: float) -> MirrorCheck:
         landed = image.residual(robot.model, steps, ground)
         residual = max(air, landed, key=lambda found: found.total)
     if residual.total > MOST_RESIDUAL:
-        told = masses.worst if air.total > MOST_RESIDUAL or not shapes else shapes
+        told = masses.worst if air.total > MOST_RESIDUAL else shapes or "what touches the ground"
         return MirrorCheck(
             False,
             residual.total,
@@ -191,12 +197,13 @@ class ModelReflection:
     # What has to mirror exactly.
 
     def differences(self) -> Iterator[str]:
-        """Name what does not mirror exactly: joints and their actuators."""
+        """Name what does not mirror exactly: joints, their actuators, and how feet touch."""
         for joint in self.joints:
             other = self.partner(joint)
             yield from self._place(joint, other)
             yield from self._numbers(joint, other)
         yield from self._actuators()
+        yield from self._contacts()
 
     def _place(self, joint: Joint, other: Joint) -> Iterator[str]:
         data = self.data
@@ -278,6 +285,16 @@ class ModelReflection:
             if not _same(scale[k], scale[order[k]]):
                 yield f"{where}: an action of 1 changes the angle by {scale[k]:.4g} rad and {scale[order[k]]:.4g} rad"
 
+    def _contacts(self) -> Iterator[str]:
+        """Compare the friction and the softness of feet; their outlines come later."""
+        robot, model = self.robot, self.model
+        for i, k in enumerate(robot.mirror_feet):
+            here, there = (self._geoms(robot.feet[foot]) for foot in (i, k))
+            for name, fields in _TOUCH.items():
+                one, two = ([_row(model, geom, fields) for geom in geoms] for geoms in (here, there))
+                if k > i and not (len(one) == len(two) and all(map(_same, sorted(one), sorted(two)))):
+                    yield f"foot {_named(robot.feet[i], robot.feet[k])}: their {name} is not the same"
+
     # What may differ a little.
 
     @cached_property
@@ -296,12 +313,10 @@ class ModelReflection:
         """Name the foot whose outline differs most from its image's; empty if none does."""
         robot, order = self.robot, self.robot.mirror_feet
         worst, said = _PLACED * max(1.0, self.extent), ""
-        bodies = {body_name(self.model, b): b for b in bodies_below(self.model, self.root)}
         for i, k in enumerate(order):
             if k < i:
                 continue
-            here, there = (colliding_geoms(self.model, bodies[robot.feet[f]]) for f in (i, k))
-            points = [self._points(geoms) for geoms in (here, there)]
+            points = [self._points(self._geoms(robot.feet[foot])) for foot in (i, k)]
             if not all(map(len, points)):
                 continue
             directions = self.seen(_DIRECTIONS)
@@ -451,8 +466,11 @@ class ModelReflection:
 
     @cached_property
     def _feet(self) -> list[int]:
+        return [geom for foot in self.robot.feet for geom in self._geoms(foot)]
+
+    def _geoms(self, foot: str) -> list[int]:
         bodies = {body_name(self.model, b): b for b in bodies_below(self.model, self.root)}
-        return [geom for foot in self.robot.feet for geom in colliding_geoms(self.model, bodies[foot])]
+        return colliding_geoms(self.model, bodies[foot])
 
 
 class Masses:
@@ -580,12 +598,17 @@ def _cross(one: np.ndarray, two: np.ndarray) -> np.ndarray:
     return crossed
 
 
+def _row(model: mujoco.MjModel, geom: int, fields: Sequence[str]) -> list[float]:
+    """Return some fields of a geom, one after the other."""
+    return [float(value) for field in fields for value in np.ravel(getattr(model, f"geom_{field}")[geom])]
+
+
 def _turned(limits: np.ndarray, sign: float) -> np.ndarray:
     """Return limits of a value whose sign may change."""
     return np.asarray(limits if sign > 0 else -limits[::-1])
 
 
-def _same(one: np.ndarray | float, two: np.ndarray | float) -> bool:
+def _same(one: np.ndarray | Sequence[float] | float, two: np.ndarray | Sequence[float] | float) -> bool:
     return bool(np.allclose(one, two, rtol=_EXACT, atol=_EXACT))
 
 
