@@ -98,7 +98,7 @@ class ReplaySettings:
     buffer_size: int = 1_000_000
     batch_size: int = 256
     n_step: int = 3
-    mirror: bool | Literal["auto"] = "auto"
+    mirror: Literal["auto"] | bool = "auto"
     storage: Literal["frames", "stacked"] = "frames"
 
     def __post_init__(self) -> None:

@@ -6,8 +6,8 @@ reflect. :func:`check_mirror` decides that in three stages, and names the part t
 1. What a file says in so many words has to mirror exactly, to 1e-6: the joints' ranges, damping and friction, and their
    actuators' gears, gains and limits. A joint whose partner turns the other way, or whose actuator has a negative gear,
    has its numbers mirrored with the sign; that is only another convention. Where joints are may differ by what files
-   round away, 0.01 mm and 1e-4 rad; rotors' inertia, and the servos' damping that the compiler derives from a damping
-   ratio and from masses, by 1 %.
+   round away, 0.01 mm and 1e-4 rad; rotors by 1 % of a joint's inertia, and the servos' damping, which the compiler may
+   have derived from a damping ratio and from masses, by 1 %.
 2. Masses need not be equal, since no real robot's are (a trunk's centre of mass lies millimetres off the middle), nor
    need meshes of feet. What such differences may amount to is measured where it counts, in the motion: from 100 random
    states with random actions, over one control step, in the air and on the ground, the two orders of stepping and
@@ -123,6 +123,17 @@ def _check(robot: Robot, control_dt: float) -> MirrorCheck:
     return MirrorCheck(True, residual.total, "; ".join(reason for reason in reasons if reason))
 
 
+def misplaced_joints(robot: Robot) -> list[str]:
+    """Find the joints that are far from the reflections of their images, if the base can leave the sagittal plane.
+
+    Where it cannot, it matters little how far aside a joint is.
+    """
+    if not {"side", "roll", "yaw"} & set(robot.base.coordinates):
+        return []
+    misplaced = ModelReflection(robot).misplaced
+    return [joint.name for joint in robot.joints if joint.name in misplaced]
+
+
 @dataclass(frozen=True)
 class Residual:
     """Hold how far stepping and reflecting differ by their order.
@@ -154,7 +165,11 @@ class ModelReflection:
         found = pair_joints(model, root, inner, standing, self.lateral, last)
         # The task's joints mirror each other as the robot says; the others follow them.
         images = found.images | robot.mirror
-        self.alone = {j.name for j in inner if images[j.name] == j.name and j.name not in found.placed}
+        placed = found.placed
+        if len(placed) < len(inner):  # not all poses in which a robot stands are symmetric
+            zero = zero_pose(model, inner, standing)
+            placed |= pair_joints(model, root, inner, zero, self.lateral, last).placed
+        self.misplaced = [joint.name for joint in inner if joint.name not in placed]
         self.by_name = {joint.name: joint for joint in self.joints}
         self.image = {joint.name: images.get(joint.name, joint.name) for joint in self.joints}
         self.data = mujoco.MjData(model)
@@ -211,7 +226,7 @@ class ModelReflection:
         if joint.kind in ("hinge", "slide") and off > _ROUNDED:
             turn = np.degrees(np.arcsin(min(off, 1.0)))
             yield f"joint {_both(joint, other)}: the reflected axis is {turn:.2g} degrees off"
-        if joint.name in self.alone and not self.flat:
+        if joint.name in self.misplaced and joint is other and not self.flat:
             yield f"joint {joint.name!r}: it is beside the middle, and no joint is at its reflected place"
         if self.robot.base.free is None and joint.name not in self.robot.mirror and joint.body == self.robot.root:
             return  # a base may be hung up anywhere
@@ -238,11 +253,15 @@ class ModelReflection:
             yield f"{where}: the spring's rest is not mirrored"
         for name, field in (("stiffness", "jnt_stiffness"), ("margin", "jnt_margin")):
             one, two = getattr(model, field)[joint.id], getattr(model, field)[other.id]
-            if not np.allclose(one, two, rtol=_DERIVED if name == "armature" else _EXACT, atol=_EXACT):
+            # Of a rotor it counts how much of the joint's whole inertia it is.
+            enough = _DERIVED * model.dof_M0[dofs] if name == "armature" else _EXACT * np.maximum(np.abs(two), 1.0)
+            if (np.abs(one - two) > enough).any():
                 yield f"{where}: {name} {_numbers(one)} is not {_numbers(two)}"
         for name in ("damping", "armature", "frictionloss"):
             one, two = (getattr(model, f"dof_{name}")[of] for of in (dofs, images))
-            if not np.allclose(one, two, rtol=_DERIVED if name == "armature" else _EXACT, atol=_EXACT):
+            # Of a rotor it counts how much of the joint's whole inertia it is.
+            enough = _DERIVED * model.dof_M0[dofs] if name == "armature" else _EXACT * np.maximum(np.abs(two), 1.0)
+            if (np.abs(one - two) > enough).any():
                 yield f"{where}: {name} {_numbers(one)} is not {_numbers(two)}"
 
     def _actuators(self) -> Iterator[str]:

@@ -67,7 +67,7 @@ class Setup:
             return MirrorCheck(False, math.nan, f"{self.task.name}: the mirror is for simulated tasks")
         return check_mirror(self.robot, self.task.control_dt)
 
-    def mirrors(self, asked: bool | Literal["auto"]) -> bool:
+    def mirrors(self, asked: Literal["auto"] | bool) -> bool:
         """Decide whether batches are mirrored.
 
         Args:

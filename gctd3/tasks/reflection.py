@@ -13,7 +13,7 @@ import numpy as np
 
 from gctd3.errors import RobotError
 from gctd3.robots.graph import KinematicGraph
-from gctd3.robots.mirror_check import check_mirror
+from gctd3.robots.mirror_check import misplaced_joints
 from gctd3.robots.robot import Robot
 from gctd3.tasks.feature_table import FeatureTable
 from gctd3.tasks.features import paper_features
@@ -72,7 +72,6 @@ class Reflection:
         table: FeatureTable,
         counters: Sequence[tuple[np.ndarray, np.ndarray]] = (),
         static: int = 0,
-        control_dt: float = 0.02,
     ) -> Reflection:
         """Return the reflection of a robot whose nodes have the features of a table.
 
@@ -85,17 +84,22 @@ class Reflection:
             counters: Source and sign of each part of the critics' privileged input, see
                 :meth:`.Termination.clock_mirror`.
             static: Number of constant features of a node, after those of all frames, see :meth:`.NodeSensor.static`.
-            control_dt: Control period (s), over which the two sides must move alike.
 
         Raises:
-            RobotError: If the robot is not the same on its left and its right, see :func:`.check_mirror`.
+            RobotError: If the robot has a ball joint, or its base can leave the sagittal plane and its joints are not
+                symmetric to that plane. Whether the two sides also move alike is for :func:`.check_mirror` to say.
         """
-        verdict = check_mirror(robot, control_dt)
-        if not verdict.symmetric:
+        if odd := misplaced_joints(robot):
             raise RobotError(
-                f"{robot.path} is not the same on its left and its right, so that its motions have no mirror images. "
-                "Set replay.mirror=false, and network.equivariant=false if that is on; or mend what differs: "
-                f"{verdict.reason}."
+                f"{robot.path} is not the same on its left and its right, so that no motion of it has a mirror image. "
+                "Set replay.mirror=false, and network.equivariant=false if that is on; or mend these joints, whose "
+                f"reflection is neither themselves nor the joint of the other side: {', '.join(odd)}."
+            )
+        graph = table.graph
+        if balls := [name for name, kind in zip(graph.nodes, graph.kinds, strict=True) if kind == "ball"]:
+            raise RobotError(
+                f"{robot.path}: a ball joint's rotation has no reflection here, so replay.mirror and equivariant must "
+                f"be false; ball joints: {', '.join(balls)}."
             )
         sources, signs, start = [np.zeros(0, dtype=np.int64)], [np.zeros(0)], 0
         for source, sign in counters:

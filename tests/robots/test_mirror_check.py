@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from robots import FREE_LEGS, TWO_LEGS
 
 from gctd3.envs.simulation import Simulation
+from gctd3.errors import RobotError
 from gctd3.robots import mirror_check
 from gctd3.robots.mirror_check import MOST_RESIDUAL, ModelReflection, check_mirror
 from gctd3.robots.robot import Robot
-from gctd3.tasks.reflection import Reflection
 
 BOOM = '<joint name="rx" type="slide" axis="1 0 0"/><joint name="rz" type="slide" axis="0 0 1"/>'
 
@@ -114,7 +114,7 @@ def test_other_conventions_are_the_same_robot(case):
     assert error_on_a_boom(robot) < 1e-5  # features are 32-bit
     verdict = check_mirror(robot, 0.02)
     assert verdict.symmetric and verdict.residual < 1e-9 and not verdict.reason
-    Reflection.from_robot(robot)
+    walking(robot).reflection()
 
 
 @pytest.mark.parametrize("case", OTHERS)
@@ -125,6 +125,10 @@ def test_other_robots_are_refused_by_the_name_of_what_differs(case):
     verdict = check_mirror(robot, 0.02)
     assert not verdict.symmetric and named in verdict.reason
     assert str(verdict).startswith("mirror: off, for ") and "\n" not in str(verdict)
+    with pytest.raises(
+        RobotError, match=r"replay\.mirror=false, and network\.equivariant=false if that is on; or mend"
+    ):
+        walking(robot).reflection()
 
 
 @pytest.mark.parametrize("base", ["<freejoint/>", BOOM + '<joint name="ry" axis="0 1 0"/>'], ids=["free", "planar"])
@@ -318,7 +322,7 @@ def swapped(name):
 CHANGES = {
     "kp": lambda kp: 1.01 * kp,
     "damping": lambda damping: 1.001 * damping,
-    "armature": lambda armature: 1.1 * armature,
+    "armature": lambda armature: 10 * armature,
     "range": lambda limits: [limits[0], limits[1] + 0.01],
     "force": lambda force: force + 0.1,
     "axis": lambda axis: axis + 0.02,
