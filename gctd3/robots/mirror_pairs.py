@@ -20,6 +20,8 @@ from gctd3.robots.mjcf import Joint
 _SIDES = (("right", "left"), ("Right", "Left"), ("R", "L"), ("r", "l"))
 _NEAR = 0.02  # of the robot's extent: how far a reflected joint may lie from its partner
 _EQUAL = 0.002  # of the robot's extent: among partners as near as that, names decide
+_ROUNDED = 1e-6  # m
+_EXACTLY = 0.1  # of the distance of the root's plane: how far pairs may be from lying about another plane
 _PLANES = 5  # planes to try beside the root's
 
 
@@ -226,7 +228,10 @@ class _Matching:
         return np.asarray(np.maximum(cost, cost.T))
 
     def _find_plane(self, root: float) -> tuple[Plane, np.ndarray]:
-        """Find the plane through the root's place along the lateral axis, or one in which more joints have images."""
+        """Find the plane through the root's place along the lateral axis, or one in which more joints have images.
+
+        Or the one midway between the joints that are pairs, if they lie exactly about that, and the root is beside it.
+        """
         cost = self._costs(root)
         best, most = root, int(np.isfinite(cost).any(axis=1).sum())
         if most < len(self.joints):
@@ -235,7 +240,24 @@ class _Matching:
                 count = int(np.isfinite(other).any(axis=1).sum())
                 if count > most:
                     best, most, cost = offset, count, other
+        middles = self._middles(cost)
+        if len(middles) > 1:  # one pair could itself be what is not symmetric
+            middle = float(np.median(middles))
+            here, there = (float(np.abs(middles - offset).mean()) for offset in (best, middle))
+            if here > _ROUNDED and there < _EXACTLY * here:
+                best, cost = middle, self._costs(middle)
         return Plane(self.lateral, best), cost
+
+    def _middles(self, cost: np.ndarray) -> np.ndarray:
+        """Return the places along the lateral axis midway between pairs, whose anchors say where they are along it."""
+        told = self.balls | (np.abs(self.axes @ self.lateral) < 0.99)
+        along, nearest = self.anchors @ self.lateral, cost.argmin(axis=1)
+        pairs = [
+            (i, k)
+            for i, k in enumerate(nearest.tolist())
+            if i < k and told[i] and np.isfinite(cost[i, k]) and nearest[k] == i
+        ]
+        return np.array([(along[i] + along[k]) / 2 for i, k in pairs])
 
     def _midway(self) -> list[float]:
         """Return the places along the lateral axis midway between the most joints that could be a pair."""

@@ -111,6 +111,22 @@ def test_the_plane_is_the_joints_where_the_root_is_beside_it():
     assert verdict.symmetric and verdict.residual < 0.003  # the frame of the base turns about a place beside it
 
 
+ROLL_AND_YAW = '<joint name="yaw_{0}" axis="0 0 1"/><joint name="hip_{0}" axis="1 0 0"'
+
+
+def test_a_root_a_little_beside_the_middle(tmp_path):
+    # Near enough to be taken for the middle, and yet not the middle; lateral hinges could be anywhere along their axes.
+    aside = FREE_LEGS.replace("0 -0.1 0", "0 -0.1015 0").replace('name="torso" size="0.1"', "{}")
+    aside = aside.format('name="torso" size="0.1" pos="0 -0.00075 0"')
+    for side in ("r", "l"):
+        axis = "0 -1 0" if side == "r" else "0 1 0"
+        aside = aside.replace(f'<joint name="hip_{side}" axis="{axis}"', ROLL_AND_YAW.format(side))
+    robot = Robot.from_mjcf(write(tmp_path, aside))
+    assert robot.mirror_plane.offset == pytest.approx(-0.00075) and robot.mirror_sign("hip_r") == -1.0
+    verdict = check_mirror(robot, 0.02)
+    assert verdict.symmetric and verdict.residual < 1e-3
+
+
 def test_a_hinge_is_a_line(tmp_path):
     # One roll is anchored 5 cm farther along its own axis, which changes nothing.
     roll = '<joint name="roll_{}" axis="1 0 0" pos="{} 0 0"/><joint name="hip_{}"'
