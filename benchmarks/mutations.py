@@ -43,7 +43,12 @@ ROOT = Path(__file__).parents[1]
 GROUPS = {
     "task": ["gctd3/tasks/*.py"],
     "replay": ["gctd3/data/replay.py", "gctd3/data/frame_buffer.py"],
-    "mirror": ["gctd3/tasks/reflection.py", "gctd3/robots/mirror_pairs.py", "gctd3/data/mirror_augmentation.py"],
+    "mirror": [
+        "gctd3/tasks/reflection.py",
+        "gctd3/robots/mirror_pairs.py",
+        "gctd3/robots/mirror_check.py",
+        "gctd3/data/mirror_augmentation.py",
+    ],
     "losses": ["gctd3/objectives/*.py", *(f"gctd3/algorithms/{name}.py" for name in ("td3", "sac", "ddpg"))],
     "resume": ["gctd3/training/checkpoint.py", "gctd3/envs/checkpointing.py", "gctd3/files.py"],
     "contract": [f"gctd3/deploy/{name}.py" for name in ("contract", "robot_contract", "policy")],

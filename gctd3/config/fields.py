@@ -134,7 +134,7 @@ def describe(hint: Any) -> str:  # noqa: ANN401
     if origin in (typing.Union, types.UnionType):
         return " or ".join(describe(option) for option in inner)
     if origin is typing.Literal:
-        return "one of " + ", ".join(map(str, inner))
+        return ("one of " if len(inner) > 1 else "") + ", ".join(map(str, inner))
     if hint in (None, type(None)):
         return "null"
     if origin is not None and issubclass(origin, Mapping):

@@ -89,7 +89,8 @@ class ReplaySettings:
         buffer_size: Transitions kept; the oldest leave first.
         batch_size: Transitions drawn for an update.
         n_step: Rewards summed before the bootstrap (Sutton 1988).
-        mirror: Reflect half of every batch in the robot's sagittal plane.
+        mirror: Reflect half of every batch in the robot's sagittal plane: ``auto`` where the robot's two sides move
+            alike (:func:`.check_mirror`), and the run says what differs where they do not; true refuses such a robot.
         storage: ``frames``: every frame once, stacked when drawn (:class:`.FrameBuffer`); ``stacked``: the stacks, in
             TorchRL's buffer, at six times the memory.
     """
@@ -97,7 +98,7 @@ class ReplaySettings:
     buffer_size: int = 1_000_000
     batch_size: int = 256
     n_step: int = 3
-    mirror: bool = True
+    mirror: Literal["auto"] | bool = "auto"
     storage: Literal["frames", "stacked"] = "frames"
 
     def __post_init__(self) -> None:

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from gctd3.errors import RobotError
+from gctd3.robots.mirror_pairs import pair_joints, swap_side
 from gctd3.robots.mjcf import Joint, base_joints, body_name, joint_kind, joint_name, standing_pose
 
 Axis = Literal["x", "-x", "y", "-y"]
@@ -175,19 +176,30 @@ class Base:
         return {**read, **{name: (angles[i], rates[..., i]) for i, name in enumerate(TURNS)}}
 
 
-def find_forward(model: mujoco.MjModel, root: int, joints: list[Joint], reflected: dict[str, int]) -> Axis:
+def find_forward(model: mujoco.MjModel, root: int, joints: list[Joint]) -> Axis:
     """Find the default forward axis: the base's only horizontal slide, else the axis for which the sides are equal.
+
+    That is ``y`` if more joints lie at the reflected place of another one for forward ``y`` than for ``x``, or as many
+    and more of them with names of two sides; else ``x``. Joints in the middle say little: a waist is in both planes.
 
     Args:
         model: The model.
         root: Index of the root body.
         joints: The robot's joints; unused if the base has one horizontal slide.
-        reflected: Number of joints with a mirror image for forward ``x`` and ``y``; equal numbers give ``x``.
     """
     slides = [axis for axis in ("x", "y") if "forward" in Base(model, root, axis).single]
     if len(slides) == 1:
         return "x" if slides[0] == "x" else "y"
-    return "y" if joints and reflected["y"] > reflected["x"] else "x"
+    if not joints:
+        return "x"
+    pose, names = standing_pose(model), [joint.name for joint in joints]
+
+    def sides(axis: Axis) -> tuple[int, int]:
+        found = pair_joints(model, root, joints, pose, Base(model, root, axis).frame[1])
+        pairs = [name for name in found.placed if found.images[name] != name]
+        return len(pairs), sum(swap_side(name, names) == found.images[name] for name in pairs)
+
+    return "y" if sides("y") > sides("x") else "x"
 
 
 def _signed(values: np.ndarray, sign: float) -> np.ndarray:

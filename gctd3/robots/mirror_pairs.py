@@ -1,33 +1,49 @@
-"""Mirror images of joints: reflection in the sagittal plane, read from names, else from geometry.
+"""Mirror images of joints: reflection in the sagittal plane, read from geometry, else from names.
 
 The sagittal plane holds the vertical and the forward axis. A hinge's axis is a pseudo-vector: its component across the
 plane survives the reflection, the other two turn round. A slide's axis is a vector: only the one across turns round.
+A hinge may be anchored anywhere along its axis, and two hips may share one axis: so hinges are compared as lines, and
+told apart by their anchors or by what hangs on them.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from gctd3.robots.mjcf import Joint, standing_pose
+from gctd3.robots.mjcf import Joint
 
 _SIDES = (("right", "left"), ("Right", "Left"), ("R", "L"), ("r", "l"))
 _NEAR = 0.02  # of the robot's extent: how far a reflected joint may lie from its partner
+_EQUAL = 0.002  # of the robot's extent: among partners as near as that, names decide
+_ROUNDED = 1e-6  # m
+_EXACTLY = 0.1  # of the distance of the root's plane: how far pairs may be from lying about another plane
+_PLANES = 5  # planes to try beside the root's
 
 
 def swap_side(name: str, known: Collection[str]) -> str:
     """Return ``name`` with its side exchanged, dropped or added, if that is one of ``known``; else ``name``.
 
-    ``hip_right`` and ``hip_left`` are a pair, and so are ``thigh`` and ``thigh_left``, ``rfemur`` and ``lfemur``.
+    ``hip_right`` and ``hip_left`` are a pair, and so are ``thigh`` and ``thigh_left``, ``rfemur`` and ``lfemur``,
+    ``FR_foot`` and ``FL_foot``.
     """
     for right, left in _SIDES:
         for here, there in ((right, left), (left, right)):
             swapped = re.sub(rf"(?<![a-zA-Z]){here}(?![a-zA-Z])", there, name)
             if swapped != name and swapped in known:
                 return swapped
+    # Front or rear, and a side.
+    corner = re.sub(
+        r"(?<![a-zA-Z])([FRHBfrhb])([RLrl])(?![a-zA-Z])",
+        lambda found: found[1] + {"r": "l", "l": "r", "R": "L", "L": "R"}[found[2]],
+        name,
+    )
+    if corner != name and corner in known:
+        return corner
     glued = {"r": "l", "l": "r", "R": "L", "L": "R"}.get(name[:1], name[:1]) + name[1:]
     if glued != name and glued in known:
         return glued
@@ -43,129 +59,272 @@ def without_side(name: str) -> str:
     return re.sub(r"(?i)_(right|left)(?![a-z])|(?<![a-z])(right|left)_", "", name)
 
 
+@dataclass(frozen=True)
+class Plane:
+    """Represent a sagittal plane: the points ``p`` with ``p @ lateral == offset``.
+
+    Attributes:
+        lateral: Unit vector across the plane, shape ``[3]``.
+        offset: Where the plane is along it (m).
+    """
+
+    lateral: np.ndarray
+    offset: float
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Return the reflection of vectors, shape ``[3, 3]``."""
+        return np.asarray(np.eye(3) - 2.0 * np.outer(self.lateral, self.lateral))
+
+    def place(self, places: np.ndarray) -> np.ndarray:
+        """Reflect places ``[*, 3]`` (m)."""
+        return np.asarray(places @ self.matrix + 2.0 * self.offset * self.lateral)
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Hold the mirror images of joints.
+
+    Attributes:
+        plane: The sagittal plane.
+        images: The mirror image of each joint, by name, often its own: an involution that keeps the kinematic tree.
+        placed: Names of the joints that lie where their images' reflections do.
+    """
+
+    plane: Plane
+    images: dict[str, str]
+    placed: frozenset[str]
+
+
 def pair_joints(
-    model: mujoco.MjModel, joints: Sequence[Joint], last: Collection[str], lateral: np.ndarray
-) -> dict[str, str]:
-    """Pair each joint with its mirror image, else itself: an involution that maps the kinematic tree onto itself.
+    model: mujoco.MjModel,
+    root: int,
+    joints: Sequence[Joint],
+    pose: np.ndarray,
+    lateral: np.ndarray,
+    last: Collection[str] = (),
+) -> Pairs:
+    """Pair each joint with its mirror image, else with itself: an involution that maps the kinematic tree onto itself.
+
+    A pair lies mirrored in the given pose, which is a symmetric one if the robot stands. Names decide among joints that
+    lie in the same place (the two legs of a planar robot do), and where no joint is in the reflected place.
 
     Args:
         model: The model.
-        joints: The robot's joints.
+        root: Index of the root body. The sagittal plane passes through it, unless more joints have images in another
+            plane.
+        joints: The joints to pair; their parents are among them.
+        pose: The ``qpos`` in which they are compared, shape ``[nq]``.
+        lateral: Unit vector across the sagittal plane, shape ``[3]``.
         last: Names of the joints that a foot hangs on.
-        lateral: Unit vector across the sagittal plane, shape ``[3]``.
     """
-    names = {joint.name for joint in joints}
-    pairs = {name: name for name in names}
-    for joint in joints:
-        other = swap_side(joint.name, names)
-        if pairs[joint.name] == joint.name and pairs[other] == other:
-            pairs[joint.name], pairs[other] = other, joint.name
-    for name, other in _pairs_by_place(model, joints, lateral).items():
-        if pairs[name] == name and pairs[other] == other:
-            pairs[name], pairs[other] = other, name
-    return _consistent({joint.name: joint for joint in joints}, pairs, last)
+    return _Matching(model, root, joints, pose, lateral, last).pairs()
 
 
-def count_reflected(model: mujoco.MjModel, joints: Sequence[Joint], lateral: np.ndarray) -> int:
-    """Count the joints in the plane across ``lateral`` or with a reflected partner, a measure of symmetry."""
-    return len(_pairs_by_place(model, joints, lateral))
-
-
-def reflected_sign(model: mujoco.MjModel, here: Joint, there: Joint, lateral: np.ndarray) -> float:
-    """Return +1 if equal angles of the two joints mirror each other, -1 if opposite ones do."""
-    _, axes = _places(model, model.qpos0)
-    return 1.0 if float(_reflect_axis(axes[here.id], here, lateral) @ axes[there.id]) > 0.0 else -1.0
-
-
-def unreflected(
-    model: mujoco.MjModel, joints: Sequence[Joint], pairs: Mapping[str, str], lateral: np.ndarray
-) -> list[str]:
-    """Find the joints whose reflection differs from their mirror image in place or axis; return their names.
-
-    The plane passes through the mean place of the paired joints, or of all joints if none are paired.
+def reflected_sign(model: mujoco.MjModel, pose: np.ndarray, here: Joint, there: Joint, lateral: np.ndarray) -> float:
+    """Return +1 if equal angles of the two joints mirror each other, -1 if opposite ones do.
 
     Args:
         model: The model.
-        joints: The robot's joints.
-        pairs: Every joint's mirror image, see :func:`pair_joints`.
+        pose: The :func:`zero_pose`.
+        here: A joint.
+        there: Its mirror image.
         lateral: Unit vector across the sagittal plane, shape ``[3]``.
     """
-    # Mirrored angles are equal or opposite ones, so that it is angles of zero that must be symmetric.
-    zero = model.qpos0.copy()
-    zero[[joint.qpos for joint in joints if joint.kind != "ball"]] = 0.0
-    places, axes = _places(model, zero)
-    ids = {joint.name: joint.id for joint in joints}
-    paired = [ids[name] for name, other in pairs.items() if other != name] or list(ids.values())
-    centre, near, found = places[paired].mean(axis=0), _near(places, joints), []
+    axes = _pose_of(model, pose).xaxis
+    return 1.0 if float(reflect_axes(axes[here.id], [here], lateral)[0] @ axes[there.id]) > 0.0 else -1.0
+
+
+def reflect_axes(axes: np.ndarray, joints: Sequence[Joint], lateral: np.ndarray) -> np.ndarray:
+    """Reflect the axes of joints, shape ``[J, 3]``."""
+    flip = np.array([1.0 if joint.kind == "slide" else -1.0 for joint in joints])
+    return np.asarray(flip[:, None] * (axes.reshape(-1, 3) @ Plane(lateral, 0.0).matrix))
+
+
+def zero_pose(model: mujoco.MjModel, joints: Sequence[Joint], pose: np.ndarray) -> np.ndarray:
+    """Return a pose in which joints other than balls are at zero, which must be symmetric. Shape ``[nq]``.
+
+    Mirrored angles are equal or opposite ones, so that it is angles of zero that must be symmetric.
+    """
+    zero = pose.copy()
     for joint in joints:
-        other = ids[pairs[joint.name]]
-        away = float(np.linalg.norm(_reflect_place(places[joint.id], centre, lateral) - places[other]))
-        if away > near or not _along(_reflect_axis(axes[joint.id], joint, lateral), axes[other], joint):
-            found.append(joint.name)
-    return found
+        if joint.kind == "ball":
+            zero[joint.qpos : joint.qpos + 4] = model.qpos0[joint.qpos : joint.qpos + 4]
+        else:
+            zero[joint.qpos] = 0.0
+    return zero
 
 
-def _pairs_by_place(model: mujoco.MjModel, joints: Sequence[Joint], lateral: np.ndarray) -> dict[str, str]:
-    places, axes = _places(model, standing_pose(model))
-    centre = places[[joint.id for joint in joints]].mean(axis=0)
-    near, pairs = _near(places, joints), {}
-    for joint in joints:
-        reflected = _reflect_place(places[joint.id], centre, lateral)
-        axis = _reflect_axis(axes[joint.id], joint, lateral)
-        ranked = sorted(
-            (float(np.linalg.norm(places[other.id] - reflected)), k)
-            for k, other in enumerate(joints)
-            if other.kind == joint.kind and _along(axis, axes[other.id], joint)
-        )
-        if ranked and ranked[0][0] <= near:
-            pairs[joint.name] = joints[ranked[0][1]].name
-    return {name: other for name, other in pairs.items() if pairs.get(other) == name}
+def line_distance(gaps: np.ndarray, axes: np.ndarray, kinds: Sequence[str]) -> np.ndarray:
+    """Measure how far joints are from one another, given the gaps between their anchors ``[J, 3]`` (m), shape ``[J]``.
+
+    A hinge is a line, a ball a point; a slide moves its body alike wherever it is.
+    """
+    along = np.sum(gaps * axes, axis=-1, keepdims=True) * axes
+    across = np.linalg.norm(gaps - along, axis=-1)
+    full = np.linalg.norm(gaps, axis=-1)
+    return np.array([{"hinge": a, "slide": 0.0}.get(k, f) for k, a, f in zip(kinds, across, full, strict=True)])
 
 
-def _places(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return anchors (m) and axes of all joints in a pose, each ``[njnt, 3]``."""
+def _pose_of(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
-    return data.xanchor.copy(), data.xaxis.copy()
+    return data
 
 
-def _near(places: np.ndarray, joints: Sequence[Joint]) -> float:
-    """Return how far a reflected joint may lie from its image (m): a part of the robot's extent, not the scene's."""
-    return _NEAR * max(float(np.ptp(places[[joint.id for joint in joints]], axis=0).max()), 1e-6)
+class _Matching:
+    """Find the mirror images of joints, from the root down, so that the tree is kept."""
 
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        root: int,
+        joints: Sequence[Joint],
+        pose: np.ndarray,
+        lateral: np.ndarray,
+        last: Collection[str],
+    ) -> None:
+        data = _pose_of(model, pose)
+        mujoco.mj_comPos(model, data)
+        ids = [joint.id for joint in joints]
+        bodies = model.jnt_bodyid[ids]
+        self.joints, self.lateral = joints, lateral
+        self.anchors, self.axes = data.xanchor[ids], data.xaxis[ids]
+        # What hangs on a joint is where it is, however its anchor and its body's frame were chosen.
+        self.weights = data.subtree_com[bodies]
+        self.balls = np.array([joint.kind == "ball" for joint in joints])
+        every = np.concatenate([self.anchors, self.weights])
+        extent = max(float(np.ptp(every, axis=0).max()), 1e-6)
+        self.near, self.equal = _NEAR * extent, _EQUAL * extent
+        self.below: dict[str | None, list[int]] = {}
+        for k, joint in enumerate(joints):
+            self.below.setdefault(joint.parent, []).append(k)
+        self.names = [joint.name for joint in joints]
+        slots = [(joint.kind, joint.id - int(model.body_jntadr[b])) for joint, b in zip(joints, bodies, strict=True)]
+        shapes = [
+            (*slot, int(model.body_jntnum[b]), name in last)
+            for slot, b, name in zip(slots, bodies, self.names, strict=True)
+        ]
+        self.alike = np.array([[one == other for other in shapes] for one in shapes])
+        self.plane, self.cost = self._find_plane(float(data.xpos[root] @ lateral))
+        self.placed: set[str] = set()
 
-def _reflect_place(place: np.ndarray, centre: np.ndarray, lateral: np.ndarray) -> np.ndarray:
-    return np.asarray(place - 2.0 * float((place - centre) @ lateral) * lateral)
+    # Places.
 
+    def _costs(self, offset: float) -> np.ndarray:
+        """Measure how far each joint's reflection is from each other joint (m); infinite if it cannot be its image."""
+        plane, n = Plane(self.lateral, offset), len(self.joints)
+        axes = reflect_axes(self.axes, self.joints, self.lateral)
+        parallel = (np.abs(axes @ self.axes.T) > 0.99) | self.balls[:, None]
+        gaps = plane.place(self.anchors)[:, None] - self.anchors[None]
+        kinds = [joint.kind for joint in self.joints]
+        lines = np.stack(
+            [line_distance(gaps[:, k], np.tile(self.axes[k], (n, 1)), [kinds[k]] * n) for k in range(n)], 1
+        )
+        weights = np.linalg.norm(plane.place(self.weights)[:, None] - self.weights[None], axis=-1)
+        cost = np.minimum(np.linalg.norm(gaps, axis=-1), weights)
+        cost = np.where(self.alike & parallel & (lines <= self.near) & (cost <= self.near), cost, np.inf)
+        return np.asarray(np.maximum(cost, cost.T))
 
-def _along(axis: np.ndarray, other: np.ndarray, joint: Joint) -> bool:
-    """Tell whether two axes are parallel; true for a ball, which has no axis."""
-    return joint.kind == "ball" or abs(float(axis @ other)) > 0.99
+    def _find_plane(self, root: float) -> tuple[Plane, np.ndarray]:
+        """Find the plane through the root's place along the lateral axis, or one in which more joints have images.
 
+        Or the one midway between the joints that are pairs, if they lie exactly about that, and the root is beside it.
+        """
+        cost = self._costs(root)
+        best, most = root, int(np.isfinite(cost).any(axis=1).sum())
+        if most < len(self.joints):
+            for offset in self._midway():
+                other = self._costs(offset)
+                count = int(np.isfinite(other).any(axis=1).sum())
+                if count > most:
+                    best, most, cost = offset, count, other
+        middles = self._middles(cost)
+        if len(middles) > 1:  # one pair could itself be what is not symmetric
+            middle = float(np.median(middles))
+            here, there = (float(np.abs(middles - offset).mean()) for offset in (best, middle))
+            if here > _ROUNDED and there < _EXACTLY * here:
+                best, cost = middle, self._costs(middle)
+        return Plane(self.lateral, best), cost
 
-def _reflect_axis(axis: np.ndarray, joint: Joint, lateral: np.ndarray) -> np.ndarray:
-    reflected = axis - 2.0 * float(axis @ lateral) * lateral
-    return reflected if joint.kind == "slide" else -reflected
+    def _middles(self, cost: np.ndarray) -> np.ndarray:
+        """Return the places along the lateral axis midway between pairs, whose anchors say where they are along it."""
+        told = self.balls | (np.abs(self.axes @ self.lateral) < 0.99)
+        along, nearest = self.anchors @ self.lateral, cost.argmin(axis=1)
+        pairs = [
+            (i, k)
+            for i, k in enumerate(nearest.tolist())
+            if i < k and told[i] and np.isfinite(cost[i, k]) and nearest[k] == i
+        ]
+        return np.array([(along[i] + along[k]) / 2 for i, k in pairs])
 
+    def _midway(self) -> list[float]:
+        """Return the places along the lateral axis midway between the most joints that could be a pair."""
+        middles: list[float] = []
+        for places in (self.anchors, self.weights):
+            gaps = places[:, None] - places[None]
+            gaps = gaps - (gaps @ self.lateral)[..., None] * self.lateral
+            level = np.triu(self.alike & (np.linalg.norm(gaps, axis=-1) <= self.near), k=1)
+            along = places @ self.lateral
+            middles.extend((0.5 * (along[:, None] + along[None]))[level].tolist())
+        found: list[float] = []
+        left = np.array(middles)
+        while len(left) and len(found) < _PLANES:
+            votes = (np.abs(left[:, None] - left[None]) <= self.equal).sum(axis=1)
+            middle = float(np.median(left[np.abs(left - left[votes.argmax()]) <= self.equal]))
+            found.append(middle)
+            left = left[np.abs(left - middle) > self.near]
+        return found
 
-def _consistent(joints: Mapping[str, Joint], pairs: dict[str, str], last: Collection[str]) -> dict[str, str]:
-    """Remove the ``pairs`` that do not map the tree onto itself; each round but the last removes at least one."""
+    # The tree.
 
-    def part(name: str | None) -> None:
-        if name is not None:
-            other = pairs[name]
-            pairs[name], pairs[other] = name, other
+    def pairs(self) -> Pairs:
+        """Return the pairs."""
+        found = self._within(None)
+        images = {self.names[i]: self.names[k] for i, k in found.items()}
+        placed = frozenset(self.names[i] for i, k in found.items() if np.isfinite(self.cost[i, k]))
+        return Pairs(self.plane, images, placed)
 
-    while True:
-        before = dict(pairs)
-        for name, joint in joints.items():
-            other = joints[pairs[name]]
-            fits = other.kind == joint.kind and (name in last) == (other.name in last)
-            above = pairs[joint.parent] if joint.parent is not None else None
-            if other.name != name and not (fits and other.parent == above):
-                part(name)
-            elif other.name == name and above != joint.parent:
-                part(joint.parent)
-        if pairs == before:
-            return pairs
+    def _within(self, parent: str | None) -> dict[int, int]:
+        """Pair the joints below one that is its own image, among one another or with themselves."""
+        own = self.below.get(parent, [])
+        found: dict[int, int] = {}
+        for i, k in self._ranked(own, own):
+            if i in found or k in found:
+                continue
+            if i == k:
+                found |= {i: i, **self._within(self.names[i])}
+            elif (inner := self._between(i, k)) is not None:
+                found |= inner
+        for i in own:
+            if i not in found:
+                found |= {i: i, **self._within(self.names[i])}
+        return found
+
+    def _between(self, i: int, k: int) -> dict[int, int] | None:
+        """Pair two joints and all below them, both ways; ``None`` if a joint below has no image."""
+        found = {i: k, k: i}
+        here, there = self.below.get(self.names[i], []), self.below.get(self.names[k], [])
+        if len(here) != len(there):
+            return None
+        for a, b in self._ranked(here, there):
+            if a not in found and b not in found and (inner := self._between(a, b)) is not None:
+                found |= inner
+        return found if all(a in found for a in here) else None
+
+    def _ranked(self, here: Sequence[int], there: Sequence[int]) -> list[tuple[int, int]]:
+        """Return the pairs to try, the best first: by place, names deciding among equals; then by name alone."""
+        known = {self.names[k] for k in (*here, *there)}
+        ranked = []
+        for i in here:
+            other = swap_side(self.names[i], known)
+            for k in there:
+                if here is there and k < i:
+                    continue
+                named = k != i and self.names[k] == other
+                if np.isfinite(self.cost[i, k]):
+                    ranked.append((0, self.cost[i, k] - (self.equal if named else 0.0), i, k))
+                elif named and self.alike[i, k]:
+                    ranked.append((1, 0.0, i, k))
+        return [(i, k) for *_, i, k in sorted(ranked)]

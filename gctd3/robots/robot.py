@@ -19,11 +19,21 @@ from gctd3.robots.actuators import check_servos
 from gctd3.robots.feet import find_feet, named_feet
 from gctd3.robots.floating_base import AXES, Axis, Base, find_forward
 from gctd3.robots.geometry import lowest_point
-from gctd3.robots.mirror_pairs import count_reflected, pair_joints, reflected_sign, swap_side
-from gctd3.robots.mjcf import Joint, body_name, colliding_geoms, load_mjcf, read_actuated, read_joints, root_body
+from gctd3.robots.mirror_pairs import Pairs, Plane, pair_joints, reflected_sign, swap_side, zero_pose
+from gctd3.robots.mjcf import (
+    Joint,
+    body_name,
+    colliding_geoms,
+    load_mjcf,
+    read_actuated,
+    read_joints,
+    root_body,
+    standing_pose,
+)
 from gctd3.robots.standing_pose import check_standing, find_standing, find_start
 
 if TYPE_CHECKING:
+    from gctd3.robots.mirror_check import MirrorCheck
     from gctd3.robots.sources import Source
 
 _LATERAL = 0.7  # least component across the body of the axis of a hip that swings the leg forwards
@@ -104,8 +114,7 @@ class Robot:
         if forward is not None and forward not in AXES:
             raise RobotError(f"forward must be one of {', '.join(AXES)}, got {forward!r}.")
         if forward is None:
-            reflected = {axis: count_reflected(model, joints, Base(model, root, axis).frame[1]) for axis in ("x", "y")}
-            forward = find_forward(model, root, joints, reflected)
+            forward = find_forward(model, root, joints)
         names = find_feet(model, root, file) if feet is None else named_feet(model, root, feet, file)
         actuated = tuple(read_actuated(model, joints))
         return cls(
@@ -251,7 +260,7 @@ class Robot:
         for i, (foot, leg) in enumerate(zip(self.feet, self.legs, strict=True)):
             shared = {joint.name for k, other in enumerate(self.legs) if k != i for joint in other}
             own = [joint for joint in leg if joint.name not in shared] or list(leg)
-            place = self._centre(data, foot)
+            place = self.foot_place(data, foot)
 
             def swings(joint: Joint, place: np.ndarray = place) -> bool:
                 axis = data.xaxis[joint.id]
@@ -273,9 +282,9 @@ class Robot:
         geoms = [geom for foot in self.feet for geom in colliding_geoms(model, self._bodies[foot])]
         return float(np.mean([data.xanchor[hip.id][2] for hip in self.hips]) - lowest_point(model, data, geoms))
 
-    def _centre(self, data: mujoco.MjData, body: str) -> np.ndarray:
-        """Return the mean place of a body's colliding geoms, or the body's own (m, in the world)."""
-        index = self._bodies[body]
+    def foot_place(self, data: mujoco.MjData, foot: str) -> np.ndarray:
+        """Return the mean place of a foot's colliding geoms, or the body's own (m, in the world)."""
+        index = self._bodies[foot]
         geoms = colliding_geoms(self.model, index)
         return np.asarray(data.geom_xpos[geoms].mean(axis=0) if geoms else data.xpos[index])
 
@@ -357,35 +366,75 @@ class Robot:
     # Mirror: reflection in the sagittal plane.
 
     @cached_property
+    def _pairs(self) -> Pairs:
+        last = {leg[-1].name for leg in self.legs if leg}
+        base = self.base
+        return pair_joints(self.model, base.root, self.joints, self.standing_qpos, base.frame[1], last)
+
+    @property
     def mirror(self) -> dict[str, str]:
         """Return the mirror image of each joint, by name; a joint without one is its own."""
-        last = {leg[-1].name for leg in self.legs if leg}
-        return pair_joints(self.model, self.joints, last, self.base.frame[1])
+        return self._pairs.images
+
+    @property
+    def mirror_plane(self) -> Plane:
+        """Return the sagittal plane, where it is in the standing pose."""
+        return self._pairs.plane
 
     def mirror_name(self, name: str) -> str:
-        """Return the name of the same joint or body on the other side, or ``name`` if it has no side."""
+        """Return the name of the same joint or body on the other side, or ``name`` if there is none."""
         if name in self.mirror:
             return self.mirror[name]
-        other = swap_side(name, self._bodies)
-        if other != name:
-            return other
+        if name in self.feet and self.feet[self.mirror_feet[self.feet.index(name)]] != name:
+            return self.feet[self.mirror_feet[self.feet.index(name)]]
         moved = [joint.name for joint in self.joints if joint.body == name]
-        return self.joint(self.mirror[moved[-1]]).body if moved else name
+        if moved and self.mirror[moved[-1]] != moved[-1]:
+            return self.joint(self.mirror[moved[-1]]).body
+        return name if moved else swap_side(name, self._bodies)
 
     def mirror_sign(self, name: str) -> float:
         """Compare a joint's axis with its partner's: +1 if equal angles mirror each other, -1 if opposite ones do."""
-        return reflected_sign(self.model, self.joint(name), self.joint(self.mirror[name]), self.base.frame[1])
+        return self._mirror_signs[name]
+
+    @cached_property
+    def _mirror_signs(self) -> dict[str, float]:
+        pose, joints = zero_pose(self.model, self.joints, standing_pose(self.model)), {j.name: j for j in self.joints}
+        lateral = self.base.frame[1]
+        return {
+            name: reflected_sign(self.model, pose, joints[name], joints[other], lateral)
+            for name, other in self.mirror.items()
+        }
 
     @cached_property
     def mirror_feet(self) -> tuple[int, ...]:
-        """Return for each foot the index of its mirror image; its own index if that is no foot."""
+        """Return for each foot the index of its mirror image; its own index if that is no foot.
+
+        The joints that two such feet hang on mirror each other; of several feet on one part the nearest to the
+        reflected place counts, and names decide among equals.
+        """
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = self.standing_qpos
+        mujoco.mj_kinematics(self.model, data)
+        places = np.array([self.foot_place(data, foot) for foot in self.feet])
         ends = [leg[-1].name if leg else None for leg in self.legs]
-        order = []
-        for i, (foot, end) in enumerate(zip(self.feet, ends, strict=True)):
-            other = self.mirror_name(foot)
-            same = [k for k, name in enumerate(ends) if end is not None and name == self.mirror[end]]
-            order.append(self.feet.index(other) if other in self.feet else same[0] if len(same) == 1 else i)
-        return tuple(other if order[other] == i else i for i, other in enumerate(order))
+        images = [self.mirror[end] if end is not None else None for end in ends]
+        away = np.linalg.norm(self.mirror_plane.place(places)[:, None] - places[None], axis=-1)
+        ranked = []
+        for i, foot in enumerate(self.feet):
+            other = swap_side(foot, self.feet)
+            for k in range(i, len(self.feet)):
+                # A joint that is its own image keeps its feet, unless two of them are a pair by their names.
+                named = self.feet[k] == other and k != i
+                if images[i] == ends[k]:
+                    equal = 0.1 * float(np.ptp(places, axis=0).max()) if named else 0.0
+                    ranked.append((float(away[i, k]) - equal, i, k))
+        order = list(range(len(self.feet)))
+        paired: set[int] = set()
+        for _, i, k in sorted(ranked):
+            if not {i, k} & paired:
+                order[i], order[k] = k, i
+                paired |= {i, k}
+        return tuple(order)
 
     @cached_property
     def foot_pairs(self) -> tuple[tuple[int, ...], ...]:
@@ -395,18 +444,33 @@ class Robot:
         return tuple((i, other) if other != i else (i,) for i, other in enumerate(self.mirror_feet) if i <= other)
 
     @cached_property
+    def mirror_checks(self) -> dict[float, MirrorCheck]:
+        """Return the verdicts of :func:`.check_mirror` so far, by control period (s)."""
+        return {}
+
+    @cached_property
     def action_mirror(self) -> tuple[np.ndarray, np.ndarray]:
         """Return permutation and sign: ``sign * action[..., permutation]`` is the mirrored action. Each ``[A]``.
 
-        Raises:
-            RobotError: If a joint has an actuator and its mirror image has none.
+        An actuator that turns its joint the other way than its image does, for a negative gear, has the other sign. One
+        of a joint whose mirror image has none is its own image, which no mirror check passes.
         """
-        lonely = [name for name in self.actuated if self.mirror[name] not in self.actuated]
-        if lonely:
-            raise RobotError(f"{self.path}: the mirror image of {', '.join(lonely)} has no actuator.")
-        order = [self.actuated.index(self.mirror[name]) for name in self.actuated]
-        sign = [self.mirror_sign(name) for name in self.actuated]
-        return np.array(order), np.array(sign)
+        gears = [float(self.model.actuator_gear[i, 0]) for i in self.actuators]
+        order, sign = [], []
+        for i, name in enumerate(self.actuated):
+            other = self.mirror[name]
+            k = self.actuated.index(other) if other in self.actuated else i
+            order.append(k)
+            sign.append(self.mirror_sign(name) * (-1.0 if gears[i] * gears[k] < 0 else 1.0))
+        return np.array(order, dtype=np.int64), np.array(sign, dtype=np.float64)
+
+    @property
+    def actuators(self) -> tuple[int, ...]:
+        """Return MuJoCo's index of the actuator of each joint of :attr:`actuated`."""
+        model, ids = self.model, {joint.id for joint in self.joints}
+        on_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        driving = [i for i in range(model.nu) if model.actuator_trntype[i] in on_joint]
+        return tuple(i for i in driving if int(model.actuator_trnid[i, 0]) in ids)
 
     # Requirements of the walking task beyond a graph.
 
@@ -419,7 +483,7 @@ class Robot:
                 )
 
     def check_walking(self) -> None:
-        """Check the requirements for walking: base, hinges, position servos, legs, contact sensors, pose and mirror.
+        """Check the requirements for walking: base, hinges, position servos, legs, contact sensors and pose.
 
         Raises:
             RobotError: If something is missing; the message says what to add.
@@ -436,4 +500,3 @@ class Robot:
         self.check_legs()
         self.contact_sensors(self.feet)
         check_standing(self.base, [self._bodies[foot] for foot in self.feet], file)
-        _ = self.action_mirror

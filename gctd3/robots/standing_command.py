@@ -49,8 +49,10 @@ def find_standing_command(robot: Robot) -> np.ndarray:
     if not np.isfinite(torque).all() or upright[2] < LEAST_UPRIGHT or data.time == 0.0:
         return np.clip(home, low, high)
     limit = np.array([torque_limit(robot, i) for i in range(len(joints))])
-    gain = model.actuator_gainprm[:, 0]
-    return np.asarray(np.clip(home + np.clip(torque, -limit, limit) / gain, low, high))
+    command = np.clip(home + np.clip(torque, -limit, limit) / model.actuator_gainprm[:, 0], low, high)
+    # The two sides alike, although the centre of mass of a real robot is some millimetres off the middle.
+    order, sign = robot.action_mirror
+    return np.asarray((command + sign * command[order]) / 2.0)
 
 
 def _vertical(robot: Robot) -> np.ndarray:

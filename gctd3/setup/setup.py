@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from gctd3.errors import ConfigError
 from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.mirror_check import MirrorCheck, check_mirror
 from gctd3.robots.robot import Robot
 from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.task import Task
@@ -57,6 +59,26 @@ class Setup:
             RobotError: If the robot is not the same on its left and its right.
         """
         return self.task.reflection()
+
+    @cached_property
+    def mirror_check(self) -> MirrorCheck:
+        """Return whether the robot may be mirrored, and why."""
+        if "mirror" not in self.task.abilities:
+            return MirrorCheck(False, math.nan, f"{self.task.name}: the mirror is for simulated tasks")
+        return check_mirror(self.robot, self.task.control_dt)
+
+    def mirrors(self, asked: Literal["auto"] | bool) -> bool:
+        """Decide whether batches are mirrored.
+
+        Args:
+            asked: ``mirror`` of :class:`.ReplaySettings`.
+
+        Raises:
+            RobotError: If it is asked for, and the robot is not the same on its left and its right.
+        """
+        if asked is True:
+            _ = self.reflection
+        return self.mirror_check.symmetric if asked == "auto" else bool(asked)
 
     def architecture(self, device: torch.device | str = "cpu") -> Architecture:
         """Return the architecture from which networks are built on ``device``."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from gctd3.errors import RobotError
 from gctd3.robots.graph import KinematicGraph
-from gctd3.robots.mirror_pairs import unreflected
+from gctd3.robots.mirror_check import misplaced_joints
 from gctd3.robots.robot import Robot
 from gctd3.tasks.feature_table import FeatureTable
 from gctd3.tasks.features import paper_features
@@ -87,9 +87,14 @@ class Reflection:
 
         Raises:
             RobotError: If the robot has a ball joint, or its base can leave the sagittal plane and its joints are not
-                symmetric to that plane.
+                symmetric to that plane. Whether the two sides also move alike is for :func:`.check_mirror` to say.
         """
-        _check_reflected(robot)
+        if odd := misplaced_joints(robot):
+            raise RobotError(
+                f"{robot.path} is not the same on its left and its right, so that no motion of it has a mirror image. "
+                "Set replay.mirror=false, and network.equivariant=false if that is on; or mend these joints, whose "
+                f"reflection is neither themselves nor the joint of the other side: {', '.join(odd)}."
+            )
         graph = table.graph
         if balls := [name for name, kind in zip(graph.nodes, graph.kinds, strict=True) if kind == "ball"]:
             raise RobotError(
@@ -142,17 +147,4 @@ class Reflection:
         return SignedPermutation(
             np.concatenate([source.reshape(count, -1), still], axis=1).reshape(-1),
             np.concatenate([sign.reshape(count, -1), np.ones(still.shape)], axis=1).reshape(-1),
-        )
-
-
-def _check_reflected(robot: Robot) -> None:
-    """Raise unless the joints are symmetric, or the base stays in the sagittal plane, where it does not matter."""
-    if not {"side", "roll", "yaw"} & set(robot.base.coordinates):
-        return
-    odd = unreflected(robot.model, robot.joints, robot.mirror, robot.base.frame[1])
-    if odd:
-        raise RobotError(
-            f"{robot.path} is not the same on its left and its right, so that no motion of it has a mirror image. Set "
-            "replay.mirror=false, and network.equivariant=false if that is on; or mend these joints, whose reflection "
-            f"is neither themselves nor the joint of the other side: {', '.join(odd)}."
         )

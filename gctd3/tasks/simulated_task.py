@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from gctd3.errors import ConfigError, suggest
+from gctd3.errors import ConfigError, RobotError, suggest
 from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.mirror_check import check_mirror
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.feature_table import FeatureTable
@@ -223,9 +224,19 @@ class SimulatedTask:
         return np.concatenate(shown, axis=-1).astype(np.float32)
 
     def reflection(self) -> Reflection:
-        """Return the reflection of observations, actions and counters."""
+        """Return the reflection of observations, actions and counters.
+
+        Raises:
+            RobotError: If the robot is not the same on its left and its right, see :func:`.check_mirror`.
+        """
         mirrors = [term.clock_mirror(self.facts) for term in self.terminations.values()]
-        return Reflection.of(self.robot, self.table, mirrors)
+        reflection, verdict = Reflection.of(self.robot, self.table, mirrors), check_mirror(self.robot, self.control_dt)
+        if not verdict.symmetric:
+            raise RobotError(
+                f"{self.robot.path} does not move alike on its left and its right. Set replay.mirror=false, and "
+                f"network.equivariant=false if that is on; or mend {verdict.reason}."
+            )
+        return reflection
 
     # Episodes.
 

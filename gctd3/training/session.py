@@ -54,6 +54,8 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     settings = build(config, trusted=not resumed)
     settings.check_here()
     setup = settings.setup()
+    # Before anything is written: a robot that cannot be mirrored as asked is refused.
+    setup.mirrors(settings.replay.mirror)
     # Imported late, so that --help and a wrong setting are answered at once.
     from gctd3.training.run_log import refuse_a_run
     from gctd3.training.trainer import Trainer
@@ -72,6 +74,8 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
             print(f"{run} has no checkpoint yet: it starts from the beginning.")
         save_config(run, config, overrides)
         print(OmegaConf.to_yaml(config))
+        if settings.replay.mirror:
+            print(setup.mirror_check)
         print(f"Run directory: {run}\n", flush=True)
         if setup.robot.origin:
             print(f"{setup.robot.origin}\n", flush=True)

@@ -170,7 +170,7 @@ class TrainSettings:
         """
         task = self.task.build(self.robot, self.reward)
         for key, asked, ability in (("replay.mirror", self.replay.mirror, "mirror"), ("video", self.video, "film")):
-            if asked and ability not in task.abilities:
+            if asked is True and ability not in task.abilities:
                 raise ConfigError(f"{key} must be false for {task.name}, got true: {ability} is for simulated tasks.")
         if task.endless:
             raise ConfigError(
@@ -185,7 +185,7 @@ class TrainSettings:
         except ConfigError as error:
             raise ConfigError(f"evaluation.{error}") from error
         setup = Setup(task, self.network, self.algo.privileged_critic)
-        if self.replay.mirror or self.network.equivariant:
+        if self.network.equivariant:
             _ = setup.reflection
         return setup
 

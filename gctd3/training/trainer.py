@@ -74,7 +74,7 @@ class Trainer:
         task, env = setup.task, settings.env
         self.device = pick_device(settings.device)
         self.algorithm, self.explorer = self._new_learner()
-        mirror = MirrorAugmentation(setup.reflection, task.history) if settings.replay.mirror else None
+        mirror = MirrorAugmentation(setup.reflection, task.history) if setup.mirrors(settings.replay.mirror) else None
         self.replay = Replay(settings.replay, settings.algo.gamma, task.history, mirror, self.device)
         recipe = EnvRecipe(task, env)
         self.collector = build_collector(settings.collector, recipe, settings.batch_steps, settings.seed, self.explorer)

@@ -239,7 +239,7 @@ def test_tasks_that_cannot_be(library, name, message):
 
 
 def test_settings_that_do_not_fit(tmp_path, capsys):
-    assert command("train", "task=walker2d", "replay=mirrored", f"hydra.run.dir={tmp_path}") == 2
+    assert command("train", "task=walker2d", "replay.mirror=true", f"hydra.run.dir={tmp_path}") == 2
     said = "replay.mirror must be false for Walker2d-v5, got true: mirror is for simulated tasks."
     assert said in capsys.readouterr().err
     with pytest.raises(ConfigError, match="num_envs must be at least 1, got 0"):
