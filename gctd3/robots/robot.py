@@ -17,6 +17,7 @@ from gctd3.errors import RobotError
 from gctd3.robots.actuators import check_servos
 from gctd3.robots.feet import find_feet, named_feet
 from gctd3.robots.floating_base import AXES, Axis, Base, find_forward
+from gctd3.robots.ground import contact_sensors
 from gctd3.robots.mirror_pairs import count_reflected, pair_joints, reflected_sign, swap_side
 from gctd3.robots.mjcf import Joint, body_name, load_mjcf, read_actuated, read_joints, root_body
 from gctd3.robots.sources import Source
@@ -82,13 +83,27 @@ class Robot:
         feet: str | Sequence[str] | None = None,
         forward: Axis | None = None,
         *,
+        root_name: str | None = None,
+        driven: bool = False,
         source: Source | None = None,
         notes: tuple[str, ...] = (),
         held: Mapping[str, float] | None = None,
     ) -> Robot:
-        """Read a robot from the compiled model of a file, which messages name; see :meth:`from_mjcf`."""
-        root = root_body(model, file)
-        joints = read_joints(model, root, file)
+        """Read a robot from the compiled model of a file, which messages name; see :meth:`from_mjcf`.
+
+        Args:
+            model: The compiled model.
+            file: Path of the file, for messages.
+            feet: See :meth:`from_mjcf`.
+            forward: See :meth:`from_mjcf`.
+            root_name: Name of the root body; ``None`` where there is but one robot.
+            driven: Whether joints without an actuator, if others have one, are none of the robot's :attr:`joints`.
+            source: Where the file comes from.
+            notes: One sentence for each thing that was added to the file or changed.
+            held: Angle (rad) of each joint of the file that was fixed, by name.
+        """
+        root = root_body(model, file, root_name)
+        joints = read_joints(model, root, file, driven)
         if forward is not None and forward not in AXES:
             raise RobotError(f"forward must be one of {', '.join(AXES)}, got {forward!r}.")
         if forward is None:
@@ -114,7 +129,7 @@ class Robot:
     @cached_property
     def base(self) -> Base:
         """Return the base: the degrees of freedom of the root body."""
-        return Base(self.model, root_body(self.model, self.path), self.forward_axis)
+        return Base(self.model, root_body(self.model, self.path, self.root), self.forward_axis)
 
     @property
     def forward(self) -> int:
@@ -228,12 +243,7 @@ class Robot:
 
     @cached_property
     def _contact_sensors(self) -> dict[str, int]:
-        model, found = self.model, {}
-        for i in range(model.nsensor):
-            is_contact = model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT
-            if is_contact and model.sensor_objtype[i] == mujoco.mjtObj.mjOBJ_BODY:
-                found[body_name(model, int(model.sensor_objid[i]))] = int(model.sensor_adr[i])
-        return found
+        return contact_sensors(self.model, self.base.root)
 
     # Mirror: reflection in the sagittal plane.
 

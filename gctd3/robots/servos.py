@@ -1,0 +1,319 @@
+"""Position servos for a robot whose file has motors, other actuators or none: gains, torque limits and ranges.
+
+Derived gains follow mjlab (Zakka et al. 2025): a servo of natural frequency 10 Hz and damping ratio 2 on the inertia
+of the joint's rotor; without one, on what the joint feels of the robot in its standing pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from gctd3.errors import RobotError
+from gctd3.robots.actuators import is_position_servo
+from gctd3.robots.draft import Draft, check_patterns, first_fitting, listed, spread
+from gctd3.robots.mjcf import joint_kind, joint_name
+from gctd3.robots.settings import ServoSettings
+
+FREQUENCY = 2 * np.pi * 10.0  # rad/s
+DAMPING_RATIO = 2.0
+LEAST_SAG = 0.15  # rad: the most by which a joint may give way under the standing robot
+FULL_EFFORT = (0.3, 1.0)  # rad: an error between these two asks for all of the torque
+_TRANSMISSIONS = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
+
+
+@dataclass(frozen=True)
+class _Drive:
+    """Describe what an actuator of the file does to its joint, per unit of the joint's angle.
+
+    Attributes:
+        stiffness: Torque per radian; ``None`` if it is no position servo.
+        damping: Torque per unit of velocity; ``None`` if it has none of its own.
+        low: Least torque (N m).
+        high: Largest torque (N m).
+        range: Desired angles (rad); ``None`` if the file sets none.
+    """
+
+    stiffness: float | None = None
+    damping: float | None = None
+    low: float = -np.inf
+    high: float = np.inf
+    range: tuple[float, float] | None = None
+
+
+def complete_servos(
+    draft: Draft,
+    qpos: np.ndarray,
+    load: np.ndarray,
+    asked: Mapping[str, ServoSettings],
+    limits: Mapping[str, ServoSettings],
+) -> None:
+    """Give every driven joint one position servo with a range; all hinges are driven if the file has no actuator.
+
+    Args:
+        draft: The file.
+        qpos: The standing pose, shape ``[nq]``.
+        load: Torque that each degree of freedom needs to stand, shape ``[nv]`` (N m).
+        asked: Servos by pattern of joints, as the settings ask for; the first that fits counts.
+        limits: What the file says of servos by the joint's name, and MJCF has no place for.
+
+    Raises:
+        RobotError: If a pattern fits no joint, or a range cannot be one of angles.
+    """
+    drop_actuators(draft)
+    model = draft.model
+    own = set(draft.joints())
+    names = [joint_name(model, j) for j in sorted(own)]
+    check_patterns(asked, names, "robot.servos", draft.file)
+    elements = {joint_id(model, a.target): a for a in draft.spec.actuators}
+    if not elements:
+        elements = _add_actuators(draft, [j for j in sorted(own) if joint_kind(model, j) == "hinge"])
+    inertia = _felt_inertia(model, qpos)
+    new: dict[str, list[tuple[str, float, float]]] = {}
+    integrated = model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER
+    moved, speeds = list[str](), list[str]()
+    for joint, actuator in elements.items():
+        if joint_kind(model, joint) != "hinge":
+            continue
+        name, dof = joint_name(model, joint), int(model.jnt_dofadr[joint])
+        drive, old = _read(model, joint, actuator)
+        wanted, told = first_fitting(asked, name) or ServoSettings(), limits.get(name, ServoSettings())
+        if wanted.velocity_limit or told.velocity_limit:
+            speeds.append(name)
+        kept = (
+            old is not None
+            and is_position_servo(model, old)
+            and float(model.actuator_gear[old, 0]) == 1.0
+            and drive.range is not None
+            and not model.jnt_actfrclimited[joint]
+            and replace(wanted, velocity_limit=None) == ServoSettings()
+        )
+        _check_range(draft, model, joint, actuator.name or name, drive.range)
+        if kept:
+            continue
+        armature = float(model.dof_armature[dof]) if wanted.armature is None else wanted.armature
+        element = draft.spec_joint(joint)
+        effort = wanted.effort if wanted.effort is not None else told.effort
+        if effort is not None:
+            drive = replace(drive, low=-effort, high=effort)
+        stiffness, damping = (wanted.stiffness, wanted.damping)
+        stiffness = stiffness if stiffness is not None else drive.stiffness
+        derived = stiffness is None
+        if stiffness is None:
+            effort = min(-drive.low, drive.high)
+            stiffness = _derive(armature if armature > 0 else float(inertia[dof]), effort, abs(float(load[dof])))
+        if damping is None:
+            damping = drive.damping if drive.damping is not None else stiffness * 2 * DAMPING_RATIO / FREQUENCY
+        draft.edit()
+        if wanted.armature is not None:
+            element.armature = wanted.armature
+        if model.jnt_actfrclimited[joint]:
+            element.actfrclimited, element.actfrcrange = mujoco.mjtLimited.mjLIMITED_FALSE, [0.0, 0.0]
+            moved.append(name)
+        limits_of = _range_of(model, joint, drive.range, float(qpos[int(model.jnt_qposadr[joint])]))
+        _write(actuator, stiffness, damping, (drive.low, drive.high), limits_of)
+        what = _kind(model, old, drive, derived, limited=limits_of is not drive.range)
+        if what is not None:
+            new.setdefault(what, []).append((name, stiffness, damping))
+    for what, made in new.items():
+        gains = (
+            f"stiffness {spread([k for _, k, _ in made])} N m/rad, damping {spread([d for *_, d in made])} N m s/rad"
+        )
+        draft.edit(f"{what.format(joints=listed([n for n, *_ in made]))}: {gains}.")
+    if moved:
+        draft.edit(f"The torque limits of {listed(moved)} act on the servos instead of the joints, as MuJoCo needs it.")
+    if new and not integrated:
+        draft.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        draft.edit("The integrator is implicitfast instead of Euler, which stiff servos need.")
+    if speeds:
+        draft.edit(f"The velocity limits of {listed(speeds)} are not simulated: MuJoCo's servos have none.")
+
+
+def joint_id(model: mujoco.MjModel, name: str) -> int:
+    """Return the index of a joint by the name that :func:`.joint_name` gives it."""
+    return next(j for j in range(model.njnt) if joint_name(model, j) == name)
+
+
+def drop_actuators(draft: Draft) -> None:
+    """Drop the actuators that drive no joint of the robot, and all but one of several that drive the same joint."""
+    model, own = draft.model, set(draft.joints())
+    by_joint: dict[int, list[int]] = {}
+    dropped: dict[str, list[int]] = {}
+    for i in range(model.nu):
+        if int(model.actuator_trntype[i]) not in _TRANSMISSIONS:
+            kind = mujoco.mjtTrn(int(model.actuator_trntype[i])).name.removeprefix("mjTRN_").lower()
+            dropped.setdefault(f"a {kind} instead of a joint", []).append(i)
+        elif int(model.actuator_trnid[i, 0]) not in own:
+            dropped.setdefault(f"no joint below {draft.root_name}", []).append(i)
+        else:
+            by_joint.setdefault(int(model.actuator_trnid[i, 0]), []).append(i)
+    for several in by_joint.values():
+        # A position servo, else a motor; its companions for other modes of control are never told anything.
+        several.sort(key=lambda i: (not is_position_servo(model, i), model.actuator_biastype[i] != 0, i))
+        if several[1:]:
+            dropped.setdefault("a joint that another actuator drives", []).extend(several[1:])
+    if not dropped:
+        return
+    names = {i: model.actuator(i).name or str(i) for i in range(model.nu)}
+    for why, gone in dropped.items():
+        draft.edit(f"Actuator {listed([names[i] for i in gone])} is left out: it drives {why}.")
+    remove_actuators(draft, [i for gone in dropped.values() for i in gone])
+    draft.compile()
+
+
+def remove_actuators(draft: Draft, gone: Sequence[int]) -> None:
+    """Remove actuators of the file by their index, with what refers to them; keys keep the others' numbers."""
+    spec, model = draft.spec, draft.model
+    names = {model.actuator(i).name for i in gone}
+    for sensor in list(spec.sensors):
+        actuator = int(mujoco.mjtObj.mjOBJ_ACTUATOR)
+        if (sensor.objtype == actuator and sensor.objname in names) or (
+            sensor.reftype == actuator and sensor.refname in names
+        ):
+            spec.delete(sensor)
+    rest = [i for i in range(model.nu) if i not in gone]
+    acts = [a for i in rest for a in range(model.actuator_actadr[i], model.actuator_actadr[i] + _count(model, i))]
+    for key in spec.keys:
+        if len(key.ctrl) == model.nu:
+            key.ctrl = np.array(key.ctrl)[rest]
+        if len(key.act) == model.na:
+            key.act = np.array(key.act)[acts]
+    for element in [spec.actuators[i] for i in sorted(gone)]:
+        spec.delete(element)
+
+
+def _count(model: mujoco.MjModel, actuator: int) -> int:
+    return int(model.actuator_actnum[actuator]) if model.actuator_actadr[actuator] >= 0 else 0
+
+
+def _add_actuators(draft: Draft, joints: Sequence[int]) -> dict[int, mujoco.MjsActuator]:
+    """Add an actuator for each joint that no other joint's equality moves."""
+    model, added = draft.model, dict[int, mujoco.MjsActuator]()
+    follow = model.eq_obj1id[model.eq_type == mujoco.mjtEq.mjEQ_JOINT].tolist()
+    draft.edit()
+    for joint in joints:
+        if joint not in follow:
+            name = joint_name(model, joint)
+            added[joint] = draft.spec.add_actuator(
+                name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, gaintype=mujoco.mjtGain.mjGAIN_FIXED
+            )
+    return added
+
+
+def _read(model: mujoco.MjModel, joint: int, actuator: mujoco.MjsActuator) -> tuple[_Drive, int | None]:
+    """Read what an actuator does to its joint, and its index in the model, ``None`` if it is a new one."""
+    low, high = -np.inf, np.inf
+    if model.jnt_actfrclimited[joint]:
+        low, high = (float(v) for v in model.jnt_actfrcrange[joint])
+    old = next((i for i in _joint_actuators(model) if int(model.actuator_trnid[i, 0]) == joint), None)
+    if old is None:
+        return _Drive(low=low, high=high), None
+    gear, gain, bias = float(model.actuator_gear[old, 0]), model.actuator_gainprm[old], model.actuator_biasprm[old]
+    gear = gear if gear != 0.0 else 1.0
+    if model.actuator_forcelimited[old]:
+        own = sorted(float(v) * gear for v in model.actuator_forcerange[old])
+        low, high = max(low, own[0]), min(high, own[1])
+    affine = int(model.actuator_biastype[old]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    limited, span = bool(model.actuator_ctrllimited[old]), model.actuator_ctrlrange[old]
+    if affine and bias[1] < 0.0:
+        # The desired angle is what it comes to rest at.
+        per_angle = gear * float(bias[1] / -gain[0]) if gain[0] else gear
+        stiffness, damping = -float(bias[1]) * gear**2, -float(bias[2]) * gear**2
+        place = sorted(float(v) / per_angle for v in span)
+        return _Drive(stiffness, damping, low, high, (place[0], place[1]) if limited else None), old
+    if not affine and limited and int(model.actuator_gaintype[old]) == int(mujoco.mjtGain.mjGAIN_FIXED):
+        own = sorted(float(v * gain[0]) * gear for v in span)
+        if own[0] < 0.0 < own[1]:
+            low, high = max(low, own[0]), min(high, own[1])
+    return _Drive(low=low, high=high), old
+
+
+def _joint_actuators(model: mujoco.MjModel) -> list[int]:
+    return [i for i in range(model.nu) if int(model.actuator_trntype[i]) in _TRANSMISSIONS]
+
+
+def _derive(inertia: float, effort: float, load: float) -> float:
+    """Derive a stiffness (N m/rad) for which the torque suffices and the joint hardly gives way under the robot."""
+    least = load / LEAST_SAG
+    if np.isfinite(effort):
+        least = max(least, effort / FULL_EFFORT[1])
+    most = max(effort / FULL_EFFORT[0], least)
+    return float(f"{min(max(inertia * FREQUENCY**2, least), most):.3g}")
+
+
+def _felt_inertia(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """Return the inertia against which each degree of freedom moves, with all others free, shape ``[nv]`` (kg m^2)."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    inverse = np.zeros((model.nv, model.nv))
+    mujoco.mj_solveM(model, data, inverse, np.eye(model.nv))
+    return np.asarray(1.0 / np.maximum(np.diag(inverse), 1e-12))
+
+
+def _range_of(
+    model: mujoco.MjModel, joint: int, written: tuple[float, float] | None, home: float
+) -> tuple[float, float]:
+    if written is not None:
+        return written
+    if model.jnt_limited[joint]:
+        low, high = (float(v) for v in model.jnt_range[joint])
+        return low, high
+    return home - np.pi, home + np.pi
+
+
+def _check_range(
+    draft: Draft, model: mujoco.MjModel, joint: int, name: str, written: tuple[float, float] | None
+) -> None:
+    """Check that a servo's range can be one of its joint's angles: degrees are 57 times as many."""
+    if written is None or not model.jnt_limited[joint]:
+        return
+    low, high = (float(v) for v in model.jnt_range[joint])
+    spare = max(2 * np.pi, high - low)
+    if written[0] < low - spare or written[1] > high + spare:
+        raise RobotError(
+            f"{draft.file}: the ctrlrange of actuator {name!r}, {written[0]:g} to {written[1]:g} rad, lies far outside "
+            f"of the range of joint {joint_name(model, joint)!r}, {low:.4g} to {high:.4g} rad; a ctrlrange is in "
+            "radians, whatever the compiler's angle is."
+        )
+
+
+def _write(
+    actuator: mujoco.MjsActuator,
+    stiffness: float,
+    damping: float,
+    force: tuple[float, float],
+    angles: tuple[float, float],
+) -> None:
+    """Make an actuator a position servo; one that filters its desired angle keeps its time constant."""
+    filtered = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+    if actuator.dyntype not in filtered:
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
+        actuator.actlimited, actuator.actdim = mujoco.mjtLimited.mjLIMITED_FALSE, -1
+    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.gainprm = [stiffness, *[0.0] * (len(actuator.gainprm) - 1)]
+    actuator.biasprm = [0.0, -stiffness, -damping, *[0.0] * (len(actuator.biasprm) - 3)]
+    actuator.gear = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    actuator.inheritrange = 0.0
+    actuator.ctrllimited, actuator.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, list(angles)
+    if np.isfinite(force).all():
+        actuator.forcelimited, actuator.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, list(force)
+
+
+def _kind(model: mujoco.MjModel, old: int | None, drive: _Drive, derived: bool, limited: bool) -> str | None:
+    """Return the sentence about a servo that was made or changed, up to its gains; ``None`` if nothing is to be said."""
+    gains = "with derived gains" if derived else "with the given gains"
+    if old is None:
+        return f"The file drives no joint; {{joints}} get position servos {gains}"
+    if drive.stiffness is None:
+        return f"The actuators of {{joints}} are position servos {gains} now"
+    if not is_position_servo(model, old):
+        return "The actuators of {joints} are position servos with their own gains now"
+    if float(model.actuator_gear[old, 0]) != 1.0:
+        return "The servos of {joints} count in angles of their joints, without a gear"
+    if limited:
+        return "The servos of {joints} get the ranges of their joints"
+    return "The servos of {joints} are as the settings ask for" if not derived else None
