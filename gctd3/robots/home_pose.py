@@ -93,23 +93,27 @@ def stance(model: mujoco.MjModel, root: int, floor: int, qpos: np.ndarray, ends:
 
 
 def like_legs(model: mujoco.MjModel, root: int, ends: Sequence[int], feet: Sequence[int]) -> list[int]:
-    """Return the ``ends`` whose chains are built like that of one of the ``feet``: as many joints, links as long."""
-    shapes = {body: _chain_shape(model, root, body) for body in ends}
+    """Return the ``ends`` whose chains are built like that of one of the ``feet``: axes alike, links as long."""
+    data = _placed(model, model.qpos0)
+    shapes = {body: _chain_shape(model, data, root, body) for body in ends}
 
     def alike(a: int, b: int) -> bool:
-        (count, length), (other, far) = shapes[a], shapes[b]
-        return count == other and abs(length - far) <= _ALIKE * max(length, far)
+        (axes, length), (others, far) = shapes[a], shapes[b]
+        if len(axes) != len(others) or abs(length - far) > _ALIKE * max(length, far):
+            return False
+        return all(abs(float(x @ y)) > 0.8 for x, y in zip(np.abs(axes), np.abs(others), strict=True))
 
     return [body for body in ends if any(alike(body, foot) for foot in feet)]
 
 
-def _chain_shape(model: mujoco.MjModel, root: int, body: int) -> tuple[int, float]:
-    count, length = 0, 0.0
-    while body != root and body:
-        count += int(model.body_jntnum[body])
+def _chain_shape(model: mujoco.MjModel, data: mujoco.MjData, root: int, body: int) -> tuple[list[np.ndarray], float]:
+    axes, length = list[np.ndarray](), 0.0
+    while body not in (root, 0):
+        start = int(model.body_jntadr[body])
+        axes += [data.xaxis[j].copy() for j in range(start, start + int(model.body_jntnum[body]))] if start >= 0 else []
         length += float(np.linalg.norm(model.body_pos[body])) if int(model.body_parentid[body]) != root else 0.0
         body = int(model.body_parentid[body])
-    return count, length
+    return axes, length
 
 
 def lowest_part(model: mujoco.MjModel, root: int, floor: int, qpos: np.ndarray, feet: Sequence[int]) -> int | None:

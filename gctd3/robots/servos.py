@@ -7,7 +7,7 @@ of the joint's rotor; without one, on what the joint feels of the robot in its s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import mujoco
 import numpy as np
@@ -20,7 +20,7 @@ from gctd3.robots.settings import ServoSettings
 
 FREQUENCY = 2 * np.pi * 10.0  # rad/s
 DAMPING_RATIO = 2.0
-LEAST_SAG = 0.15  # rad: the most by which a joint may give way under the standing robot
+MOST_SAG = 0.1  # rad: the most by which a joint may give way under the standing robot
 FULL_EFFORT = (0.3, 1.0)  # rad: an error between these two asks for all of the torque
 _TRANSMISSIONS = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
 
@@ -65,71 +65,84 @@ def complete_servos(
     """
     drop_actuators(draft)
     model = draft.model
-    own = set(draft.joints())
-    names = [joint_name(model, j) for j in sorted(own)]
-    check_patterns(asked, names, "robot.servos", draft.file)
+    own = draft.joints()
+    check_patterns(asked, [joint_name(model, j) for j in own], "robot.servos", draft.file)
     elements = {joint_id(model, a.target): a for a in draft.spec.actuators}
     if not elements:
-        elements = _add_actuators(draft, [j for j in sorted(own) if joint_kind(model, j) == "hinge"])
-    inertia = _felt_inertia(model, qpos)
-    new: dict[str, list[tuple[str, float, float]]] = {}
-    integrated = model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER
+        elements = _add_actuators(draft, [j for j in own if joint_kind(model, j) == "hinge"])
+    gains = _Gains(model, qpos, load, list(elements))
+    made: dict[str, list[tuple[str, float, float]]] = {}
     moved, speeds = list[str](), list[str]()
     for joint, actuator in elements.items():
         if joint_kind(model, joint) != "hinge":
             continue
-        name, dof = joint_name(model, joint), int(model.jnt_dofadr[joint])
-        drive, old = _read(model, joint, actuator)
-        wanted, told = first_fitting(asked, name) or ServoSettings(), limits.get(name, ServoSettings())
-        if wanted.velocity_limit or told.velocity_limit:
-            speeds.append(name)
-        kept = (
-            old is not None
-            and is_position_servo(model, old)
-            and float(model.actuator_gear[old, 0]) == 1.0
-            and drive.range is not None
-            and not model.jnt_actfrclimited[joint]
-            and replace(wanted, velocity_limit=None) == ServoSettings()
-        )
+        name = joint_name(model, joint)
+        drive, old = _read(model, joint)
         _check_range(draft, model, joint, actuator.name or name, drive.range)
-        if kept:
+        wanted = _merged(first_fitting(asked, name), limits.get(name))
+        if wanted.velocity_limit is not None:
+            speeds.append(name)
+        wanted = replace(wanted, velocity_limit=None)
+        if model.jnt_actfrclimited[joint]:
+            draft.edit()
+            element = draft.spec_joint(joint)
+            element.actfrclimited, element.actfrcrange = mujoco.mjtLimited.mjLIMITED_FALSE, [0.0, 0.0]
+            actuator.forcelimited, actuator.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, [drive.low, drive.high]
+            moved.append(name)
+        fine = old is not None and is_position_servo(model, old) and float(model.actuator_gear[old, 0]) == 1.0
+        if fine and drive.range is not None and wanted == ServoSettings():
             continue
-        armature = float(model.dof_armature[dof]) if wanted.armature is None else wanted.armature
-        element = draft.spec_joint(joint)
-        effort = wanted.effort if wanted.effort is not None else told.effort
-        if effort is not None:
-            drive = replace(drive, low=-effort, high=effort)
-        stiffness, damping = (wanted.stiffness, wanted.damping)
-        stiffness = stiffness if stiffness is not None else drive.stiffness
-        derived = stiffness is None
-        if stiffness is None:
-            effort = min(-drive.low, drive.high)
-            stiffness = _derive(armature if armature > 0 else float(inertia[dof]), effort, abs(float(load[dof])))
-        if damping is None:
-            damping = drive.damping if drive.damping is not None else stiffness * 2 * DAMPING_RATIO / FREQUENCY
         draft.edit()
         if wanted.armature is not None:
-            element.armature = wanted.armature
-        if model.jnt_actfrclimited[joint]:
-            element.actfrclimited, element.actfrcrange = mujoco.mjtLimited.mjLIMITED_FALSE, [0.0, 0.0]
-            moved.append(name)
-        limits_of = _range_of(model, joint, drive.range, float(qpos[int(model.jnt_qposadr[joint])]))
-        _write(actuator, stiffness, damping, (drive.low, drive.high), limits_of)
-        what = _kind(model, old, drive, derived, limited=limits_of is not drive.range)
-        if what is not None:
-            new.setdefault(what, []).append((name, stiffness, damping))
-    for what, made in new.items():
-        gains = (
-            f"stiffness {spread([k for _, k, _ in made])} N m/rad, damping {spread([d for *_, d in made])} N m s/rad"
-        )
-        draft.edit(f"{what.format(joints=listed([n for n, *_ in made]))}: {gains}.")
+            draft.spec_joint(joint).armature = wanted.armature
+        if wanted.effort is not None:
+            drive = replace(drive, low=-wanted.effort, high=wanted.effort)
+        stiffness = wanted.stiffness if wanted.stiffness is not None else drive.stiffness
+        derived = stiffness is None
+        if stiffness is None:
+            stiffness = gains.stiffness(joint, min(-drive.low, drive.high), wanted.armature)
+        damping = wanted.damping if wanted.damping is not None else drive.damping
+        if damping is None:
+            damping = float(f"{stiffness * 2 * DAMPING_RATIO / FREQUENCY:.3g}")
+        angles = _range_of(model, joint, drive.range, float(qpos[int(model.jnt_qposadr[joint])]))
+        _write(actuator, stiffness, damping, (drive.low, drive.high), angles)
+        what = _sentence(model, old, drive, derived, wanted)
+        made.setdefault(what, []).append((name, stiffness, damping))
+    for what, servos in made.items():
+        stiff, damped = spread([k for _, k, _ in servos]), spread([d for *_, d in servos])
+        names = listed([name for name, *_ in servos])
+        draft.edit(f"{what.format(joints=names)}: stiffness {stiff} N m/rad, damping {damped} N m s/rad.")
     if moved:
-        draft.edit(f"The torque limits of {listed(moved)} act on the servos instead of the joints, as MuJoCo needs it.")
-    if new and not integrated:
-        draft.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        draft.edit("The integrator is implicitfast instead of Euler, which stiff servos need.")
+        draft.edit(
+            f"The torque limits of {listed(moved)} are their servos' now: MuJoCo slows a servo at a joint's limit."
+        )
     if speeds:
         draft.edit(f"The velocity limits of {listed(speeds)} are not simulated: MuJoCo's servos have none.")
+    _check_integrator(draft, gains.inertia)
+
+
+def _merged(asked: ServoSettings | None, told: ServoSettings | None) -> ServoSettings:
+    """Return what settings ask of a servo, and where they ask nothing, what the file says of it."""
+    first, second = asked or ServoSettings(), told or ServoSettings()
+    values = {f.name: getattr(first, f.name) for f in fields(ServoSettings)}
+    return ServoSettings(**{n: v if v is not None else getattr(second, n) for n, v in values.items()})
+
+
+def _check_integrator(draft: Draft, inertia: np.ndarray) -> None:
+    """Change the integrator if it cannot take the damping of the servos, which Euler's method adds explicitly."""
+    model, spec = draft.model, draft.spec
+    if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
+        return
+    for actuator in spec.actuators:
+        joint = joint_id(model, actuator.target)
+        damping = -float(actuator.biasprm[2]) * float(actuator.gear[0]) ** 2
+        if damping * model.opt.timestep > inertia[int(model.jnt_dofadr[joint])]:
+            spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+            # Files for MuJoCo's accelerated versions ask for one or two, with which it diverges.
+            spec.option.iterations = max(int(spec.option.iterations), 20)
+            spec.option.ls_iterations = max(int(spec.option.ls_iterations), 20)
+            draft.edit("The integrator is implicitfast instead of Euler, which the damping of the servos would upset.")
+            return
 
 
 def joint_id(model: mujoco.MjModel, name: str) -> int:
@@ -203,7 +216,7 @@ def _add_actuators(draft: Draft, joints: Sequence[int]) -> dict[int, mujoco.MjsA
     return added
 
 
-def _read(model: mujoco.MjModel, joint: int, actuator: mujoco.MjsActuator) -> tuple[_Drive, int | None]:
+def _read(model: mujoco.MjModel, joint: int) -> tuple[_Drive, int | None]:
     """Read what an actuator does to its joint, and its index in the model, ``None`` if it is a new one."""
     low, high = -np.inf, np.inf
     if model.jnt_actfrclimited[joint]:
@@ -235,23 +248,57 @@ def _joint_actuators(model: mujoco.MjModel) -> list[int]:
     return [i for i in range(model.nu) if int(model.actuator_trntype[i]) in _TRANSMISSIONS]
 
 
-def _derive(inertia: float, effort: float, load: float) -> float:
-    """Derive a stiffness (N m/rad) for which the torque suffices and the joint hardly gives way under the robot."""
-    least = load / LEAST_SAG
-    if np.isfinite(effort):
-        least = max(least, effort / FULL_EFFORT[1])
-    most = max(effort / FULL_EFFORT[0], least)
-    return float(f"{min(max(inertia * FREQUENCY**2, least), most):.3g}")
+class _Gains:
+    """Derive stiffnesses for which the torque suffices and the joints hardly give way under the robot.
 
+    Joints of one kind, such as the knees, get equal ones: as many joints above them, axes alike, equal rotors.
 
-def _felt_inertia(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
-    """Return the inertia against which each degree of freedom moves, with all others free, shape ``[nv]`` (kg m^2)."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(model, data)
-    inverse = np.zeros((model.nv, model.nv))
-    mujoco.mj_solveM(model, data, inverse, np.eye(model.nv))
-    return np.asarray(1.0 / np.maximum(np.diag(inverse), 1e-12))
+    Args:
+        model: The model.
+        qpos: The standing pose, shape ``[nq]``.
+        load: Torque that each degree of freedom needs to stand, shape ``[nv]`` (N m).
+        joints: Indices of the joints that are driven.
+    """
+
+    def __init__(self, model: mujoco.MjModel, qpos: np.ndarray, load: np.ndarray, joints: Sequence[int]) -> None:
+        data = mujoco.MjData(model)
+        data.qpos[:] = qpos
+        mujoco.mj_forward(model, data)
+        inverse = np.zeros((model.nv, model.nv))
+        mujoco.mj_solveM(model, data, inverse, np.eye(model.nv))
+        # What a joint feels of the robot with all others free (kg m^2).
+        self.inertia = 1.0 / np.maximum(np.diag(inverse), 1e-12)
+        self.model, self.load = model, np.abs(load)
+        mujoco.mj_resetData(model, data)
+        mujoco.mj_kinematics(model, data)
+        self._dofs = [int(model.jnt_dofadr[j]) for j in joints]
+        self._kinds = {j: self._kind(j, data.xaxis[j]) for j in joints}
+
+    def _kind(self, joint: int, axis: np.ndarray) -> tuple[object, ...]:
+        depth, body = joint - int(self.model.body_jntadr[self.model.jnt_bodyid[joint]]), self.model.jnt_bodyid[joint]
+        while body := int(self.model.body_parentid[body]):
+            depth += int(self.model.body_jntnum[body])
+        rotor = float(self.model.dof_armature[int(self.model.jnt_dofadr[joint])])
+        return depth, tuple(np.abs(axis).round(1).tolist()), round(rotor, 6)
+
+    def stiffness(self, joint: int, effort: float, rotor: float | None) -> float:
+        """Return the stiffness of a joint's servo (N m/rad).
+
+        Args:
+            joint: Index of the joint.
+            effort: Largest torque (N m), may be infinite.
+            rotor: Inertia of its rotor (kg m^2); the file's if ``None``.
+        """
+        alike = [int(self.model.jnt_dofadr[j]) for j, kind in self._kinds.items() if kind == self._kinds[joint]]
+        armature = rotor if rotor is not None else float(self.model.dof_armature[int(self.model.jnt_dofadr[joint])])
+        inertia = armature if armature > 0 else float(self.inertia[alike].max())
+        least = float(self.load[alike].max()) / MOST_SAG
+        # What is idle while the robot stands upright has its share as soon as it does not.
+        least = max(least, min(0.5 * float(self.load[self._dofs].max()) / MOST_SAG, effort / FULL_EFFORT[0]))
+        if np.isfinite(effort):
+            least = max(least, effort / FULL_EFFORT[1])
+        most = max(effort / FULL_EFFORT[0], least)
+        return float(f"{min(max(inertia * FREQUENCY**2, least), most):.3g}")
 
 
 def _range_of(
@@ -303,17 +350,17 @@ def _write(
         actuator.forcelimited, actuator.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, list(force)
 
 
-def _kind(model: mujoco.MjModel, old: int | None, drive: _Drive, derived: bool, limited: bool) -> str | None:
-    """Return the sentence about a servo that was made or changed, up to its gains; ``None`` if nothing is to be said."""
-    gains = "with derived gains" if derived else "with the given gains"
+def _sentence(model: mujoco.MjModel, old: int | None, drive: _Drive, derived: bool, wanted: ServoSettings) -> str:
+    """Return the sentence about a servo that was made or changed, up to its gains."""
+    gains = "derived gains" if derived else "the given gains"
     if old is None:
-        return f"The file drives no joint; {{joints}} get position servos {gains}"
+        return f"Position servos with {gains} are added for {{joints}}"
     if drive.stiffness is None:
-        return f"The actuators of {{joints}} are position servos {gains} now"
+        return f"The actuators of {{joints}} are position servos with {gains} now"
+    if wanted != ServoSettings():
+        return "The servos of {joints} are as the settings ask for"
     if not is_position_servo(model, old):
         return "The actuators of {joints} are position servos with their own gains now"
     if float(model.actuator_gear[old, 0]) != 1.0:
         return "The servos of {joints} count in angles of their joints, without a gear"
-    if limited:
-        return "The servos of {joints} get the ranges of their joints"
-    return "The servos of {joints} are as the settings ask for" if not derived else None
+    return "The servos of {joints} get the ranges of their joints"
