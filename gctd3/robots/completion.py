@@ -29,7 +29,7 @@ from gctd3.robots.ground import (
 )
 from gctd3.robots.held_joints import hold_joints
 from gctd3.robots.mjcf import base_joints, bodies_below, body_name, driven_joints, joint_name, standing_pose
-from gctd3.robots.servos import complete_servos
+from gctd3.robots.servos import complete_servos, joint_id
 from gctd3.robots.settings import RobotSettings, ServoSettings
 
 _ABOVE, _BELOW = 0.02, -0.005  # m: how far a key's feet may be from the ground
@@ -73,10 +73,10 @@ def complete(
     Raises:
         RobotError: If the file is no robot, or a setting names what it does not have.
     """
-    added = _name_floor(spec)
+    before = _prepare(spec)
     draft = Draft(spec, file, settings.root)
-    if added:
-        draft.edit(f"The file has no ground; a level plane {added!r} at z = 0 is added.")
+    for sentence in before:
+        draft.edit(sentence)
     first = draft.model
     floor = _ground(draft)
     pose, key, feet, split = _stand(draft, settings, floor)
@@ -99,8 +99,11 @@ def complete(
     if pose is not None:
         _write_pose(draft, pose, key, feet)
     if not draft.edited:
+        _clip_pose(draft)
+    if not draft.edited:
         return Completed(first, spec, root=draft.root_name, feet=tuple(feet))
     draft.compile()
+    _clip_pose(draft)
     _passive(draft)
     _try(draft, feet)
     return Completed(draft.model, spec, tuple(draft.notes), held, draft.root_name, tuple(feet))
@@ -109,13 +112,32 @@ def complete(
 # Ground.
 
 
-def _name_floor(spec: mujoco.MjSpec) -> str | None:
-    """Add the floor that pairs or sensors refer to if the file lacks it, as parts of scenes do; return its name."""
-    missing = missing_geoms(spec)
-    planes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
-    if len(missing) != 1 or planes:
-        return None
-    return add_floor(spec, missing[0])
+def _prepare(spec: mujoco.MjSpec) -> list[str]:
+    """Add a floor to a file that has nothing of the kind, before it is compiled; return what is to be said.
+
+    Parts of scenes may lack the very floor that their pairs and sensors name.
+    """
+    types = mujoco.mjtGeom
+    grounds = [g for g in spec.geoms if g.type in (types.mjGEOM_PLANE, types.mjGEOM_HFIELD)]
+    if grounds or any(g.type == types.mjGEOM_BOX for g in spec.worldbody.geoms):
+        return []
+    missing, notes = missing_geoms(spec), list[str]()
+    if len(missing) > 1:
+        return []
+    contype, conaffinity = 1, 1
+    if not spec.pairs and not any(g.contype or g.conaffinity for g in spec.geoms):
+        # Its scene would name what may touch; by custom these groups are not drawn but for collisions.
+        solid = [g for g in spec.geoms if g.group >= 3]
+        for geom in solid:
+            geom.conaffinity = 1
+        conaffinity = 0
+        if solid:
+            notes.append("No geom of the file can touch anything; those of group 3 and above touch the ground now.")
+    else:
+        for geom in spec.geoms:
+            contype, conaffinity = contype | int(geom.conaffinity), conaffinity | int(geom.contype)
+    name = add_floor(spec, missing[0] if missing else "floor", contype, conaffinity)
+    return [f"The file has no ground; a level plane {name!r} at z = 0 is added.", *notes]
 
 
 def _ground(draft: Draft) -> int:
@@ -297,6 +319,8 @@ def _find(draft: Draft, settings: RobotSettings, floor: int, feet: Sequence[str]
     if found is None:
         return None
     changed = [j for j in draft.joints() if abs(found[model.jnt_qposadr[j]] - model.qpos0[model.jnt_qposadr[j]]) > 0.05]
+    if not changed:
+        return None
     angles = [f"{joint_name(model, j)} {found[int(model.jnt_qposadr[j])]:.2f}" for j in changed]
     draft.edit(f"The file names no standing pose; one with bent legs is found: {listed(angles, 12)} rad.")
     return draft.pose_of(found)
@@ -304,15 +328,8 @@ def _find(draft: Draft, settings: RobotSettings, floor: int, feet: Sequence[str]
 
 def _write_pose(draft: Draft, pose: Mapping[str, np.ndarray], key: str | None, feet: Sequence[str]) -> None:
     """Write the standing pose into the file's keys such that it is the one that is found, if it is not."""
-    model = draft.compile() if draft.edited else draft.model
-    qpos = draft.qpos_of(pose)
-    moved, outside = home_pose.clipped(model, qpos, draft.joints())
-    for joint in outside:
-        place = int(model.jnt_qposadr[joint])
-        draft.edit(
-            f"In the standing pose the angle of {joint_name(model, joint)} is {moved[place]:.4g} rad instead of "
-            f"{qpos[place]:.4g}, which is outside of its servo's range."
-        )
+    model = draft.model
+    moved = draft.qpos_of(pose)
     names = [model.key(k).name for k in range(model.nkey)]
     first = next((name for name in ("stand", "home") if name in names), None)
     if key == first and key is not None:
@@ -328,7 +345,30 @@ def _write_pose(draft: Draft, pose: Mapping[str, np.ndarray], key: str | None, f
                 other.name = "stand_of_file"
         element = draft.spec.add_key(name="stand")
     element.qpos = moved
-    element.ctrl = [moved[int(model.jnt_qposadr[j])] for j in driven_joints(model)]
+    places = [int(model.jnt_qposadr[joint_id(model, a.target)]) for a in draft.spec.actuators]
+    element.ctrl = moved[places]
+    element.act = []
+
+
+def _clip_pose(draft: Draft) -> None:
+    """Put a standing pose that the file names into the ranges of the servos, and say so."""
+    model = draft.model
+    names = [model.key(k).name for k in range(model.nkey)]
+    name = next((name for name in ("stand", "home") if name in names), None)
+    if name is None:
+        return
+    index = names.index(name)
+    qpos = model.key_qpos[index].copy()
+    moved, outside = home_pose.clipped(model, qpos, draft.joints())
+    for joint in outside:
+        place = int(model.jnt_qposadr[joint])
+        draft.edit(
+            f"In the standing pose the angle of {joint_name(model, joint)} is {moved[place]:.4g} rad instead of "
+            f"{qpos[place]:.4g}, which is outside of its servo's range."
+        )
+    if outside:
+        draft.spec.keys[index].qpos = moved
+        model.key_qpos[index] = moved
 
 
 # Servos and sensors.

@@ -283,7 +283,28 @@ def find_pose(
         if abs(middle - target) < 1e-3:
             break
         shift += middle - target
+    pose = _alike(model, pose, chosen, lateral, forward)
     return lowered(model, root, pose, min(_lift(model, _placed(model, pose), foot, floor) for foot in feet))
+
+
+def _alike(
+    model: mujoco.MjModel, pose: np.ndarray, legs: Sequence[_Leg], lateral: np.ndarray, forward: np.ndarray
+) -> np.ndarray:
+    """Return a pose in which legs that stand beside each other have equal or opposite angles, to a thousandth."""
+    data, even = _placed(model, pose), pose.copy()
+    places = [data.xpos[leg.foot] + _turn(data, leg.foot) @ leg.sole for leg in legs]
+    middle = float(np.mean(places, axis=0) @ lateral)
+    for i, leg in enumerate(legs):
+        for other, place in zip(legs[i + 1 :], places[i + 1 :], strict=True):
+            away = float((places[i] - place) @ forward), float((places[i] + place) @ lateral) / 2 - middle
+            if len(leg.joints) != len(other.joints) or np.abs(away).max() > 0.03:
+                continue
+            for here, there in zip(leg.joints, other.joints, strict=True):
+                a, b = int(model.jnt_qposadr[here]), int(model.jnt_qposadr[there])
+                sign = 1.0 if abs(pose[a] - pose[b]) <= abs(pose[a] + pose[b]) else -1.0
+                even[a] = round((pose[a] + sign * pose[b]) / 2, 3)
+                even[b] = sign * even[a]
+    return clipped(model, even, [j for leg in legs for j in leg.joints])[0]
 
 
 def _leg(

@@ -34,7 +34,8 @@ class Robot:
         model: The compiled MuJoCo model.
         path: The MJCF file, or the label of a model in memory.
         root: Name of the body that carries the base joints.
-        joints: All joints outside the base, in the order of the MJCF (depth first).
+        joints: The joints outside the base, in the order of the MJCF (depth first); those of a completed file are
+            the driven ones.
         actuated: For each actuator of a joint, in order, the name of the joint that it drives.
         feet: Names of the bodies that may touch the ground.
         forward_axis: Forward direction: ``x``, ``-x``, ``y`` or ``-y`` of the world.
@@ -164,6 +165,11 @@ class Robot:
         return find_start(self.base, self.standing_qpos)
 
     # Joints and actuators.
+
+    @cached_property
+    def inner_joints(self) -> tuple[int, ...]:
+        """Return MuJoCo's indices of all joints outside the base, driven or not."""
+        return tuple(joint.id for joint in read_joints(self.model, self.base.root, self.path))
 
     def joint(self, name: str) -> Joint:
         """Return the joint with a given name.
