@@ -87,7 +87,7 @@ def complete(
         feet = [next(renamed) if geoms else name for name, geoms in zip(feet, split, strict=True)]
         floor = _geom(draft.model, floor_name)
         draft.edit(
-            f"The feet {listed(names)} get bodies of their own, so that the rest of their shanks counts as another part."
+            f"The feet {listed(names)} get bodies of their own, so that the rest of their shanks is another part."
         )
     if pose is None:
         pose = _find(draft, settings, floor, feet)

@@ -69,18 +69,15 @@ class Draft:
             RobotError: If MuJoCo cannot compile it.
         """
         try:
-            while True:
-                try:
-                    self.model = self.spec.compile()
-                    bytes(self.model.names).decode()
-                    return self.model
-                except ValueError as error:
-                    if isinstance(error, UnicodeDecodeError) or not self._drop_key(str(error)):
-                        raise
+            self.model = self.spec.compile()
+            bytes(self.model.names).decode()
         except UnicodeDecodeError as error:
             raise RobotError(f"{self.file} has a name that is not UTF-8: {error}") from error
         except ValueError as error:
+            if self._drop_key(str(error)):
+                return self.compile()
             raise RobotError(f"{self.file} is not an MJCF that MuJoCo can compile: {error}") from error
+        return self.model
 
     def _drop_key(self, message: str) -> bool:
         """Drop the key of a wrong size that an error is about; tell whether there is one."""

@@ -22,7 +22,7 @@ def ground_height(model: mujoco.MjModel) -> float | None:
     """
     data = _at_reference(model)
     told = _told(model)
-    planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).tolist()
     heights = [
         _top(model, data, geom)
         for geom in (told or planes)

@@ -35,6 +35,9 @@ def hold_joints(draft: Draft, patterns: Sequence[str], pose: Mapping[str, np.nda
     if len(chosen) == len(names):
         raise RobotError(f"{draft.file}: robot.hold leaves the robot no joint.")
     draft.edit()
+    # Found first: what is removed changes the indices.
+    parts = {j: (draft.spec_joint(j), draft.spec_body(int(model.jnt_bodyid[j]))) for j in chosen.values()}
+    order = {joint.name: joint.id for joint in draft.spec.joints}
     keys = [(key, _poses(model, key)) for key in draft.spec.keys]
     transmission = mujoco.mjtTrn
     on_joint = (int(transmission.mjTRN_JOINT), int(transmission.mjTRN_JOINTINPARENT))
@@ -46,7 +49,7 @@ def hold_joints(draft: Draft, patterns: Sequence[str], pose: Mapping[str, np.nda
     remove_actuators(draft, gone)
     _remove_references(draft, set(chosen))
     for name, joint in chosen.items():
-        _fix(draft, joint, np.asarray(pose[name], dtype=float))
+        _fix(draft, parts[joint], joint, np.asarray(pose[name], dtype=float), order)
     for key, (qpos, qvel) in keys:
         key.qpos = np.concatenate([values for name, values in qpos.items() if name not in chosen])
         key.qvel = np.concatenate([values for name, values in qvel.items() if name not in chosen])
@@ -108,16 +111,22 @@ def _remove_references(draft: Draft, names: set[str]) -> None:
         spec.delete(tendon)
 
 
-def _fix(draft: Draft, joint: int, place: np.ndarray) -> None:
+def _fix(
+    draft: Draft,
+    part: tuple[mujoco.MjsJoint, mujoco.MjsBody],
+    joint: int,
+    place: np.ndarray,
+    order: Mapping[str, int],
+) -> None:
     """Remove one joint; the place of its body, and the other joints of that body, are such that nothing else moves."""
     spec, model = draft.spec, draft.model
-    element, body = draft.spec_joint(joint), draft.spec_body(int(model.jnt_bodyid[joint]))
+    element, body = part
     turn, shift = _motion(model, joint, place)
     inverse = np.zeros(4)
     mujoco.mju_negQuat(inverse, turn)
     # Joints of the body that come before are now applied after the fixed motion.
     for other in body.joints:
-        if other.id < joint:
+        if order[other.name] < joint:
             other.axis = _rotated(inverse, np.array(other.axis))
             other.pos = _rotated(inverse, np.array(other.pos) - shift)
     quat = _quaternion(spec, body)
@@ -131,7 +140,7 @@ def _fix(draft: Draft, joint: int, place: np.ndarray) -> None:
 
 def _motion(model: mujoco.MjModel, joint: int, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rotation (a quaternion) and shift (m) of a joint's body, in the body's own frame."""
-    turn, shift = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
+    turn = np.array([1.0, 0.0, 0.0, 0.0])
     kind, start = joint_kind(model, joint), int(model.jnt_qposadr[joint])
     axis, anchor = model.jnt_axis[joint], model.jnt_pos[joint]
     if kind == "slide":

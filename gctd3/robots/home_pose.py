@@ -5,14 +5,14 @@ A pose that is found has every foot below its hip, the soles level and the legs 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from gctd3.robots.actuators import is_position_servo, rest_servos
-from gctd3.robots.geometry import geom_points
+from gctd3.robots.geometry import geom_points, lowest_point
 from gctd3.robots.ground import can_collide, geoms_of
 from gctd3.robots.mjcf import base_joints, bodies_below, driven_joints
 
@@ -117,11 +117,12 @@ def _chain_shape(model: mujoco.MjModel, data: mujoco.MjData, root: int, body: in
 
 
 def lowest_part(model: mujoco.MjModel, root: int, floor: int, qpos: np.ndarray, feet: Sequence[int]) -> int | None:
-    """Return the index of a body of the robot, no foot, that is below the feet by more than they may differ."""
+    """Return the index of a body of the robot that touches the ground although it is no foot and carries none."""
     data = _placed(model, qpos)
     ground = min(_lift(model, data, body, floor) for body in feet)
+    spared = {*feet, *(int(model.body_parentid[foot]) for foot in feet)} - {root}
     for body in bodies_below(model, root):
-        if body not in feet and _lift(model, data, body, floor) < ground - 0.02:
+        if body not in spared and _lift(model, data, body, floor) < ground + 0.002:
             return body
     return None
 
@@ -325,7 +326,12 @@ def _leg(
     low = points[points[:, 2] < points[:, 2].min() + 0.005]
     flat = min(np.ptp(low[:, 0]), np.ptp(low[:, 1])) > 0.02 and len(joints) > 3
     turn = _turn(data, foot)
-    sole = (low.mean(axis=0) - data.xpos[foot]) @ turn
+    # A ball turns about its centre without moving on the ground.
+    parts = [g for g in geoms_of(model, foot) if can_collide(model, g, floor)]
+    lowest = min(parts, key=lambda g: lowest_point(model, data, [g]))
+    round_ones = (int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE))
+    radius = float(model.geom_size[lowest, 0]) if int(model.geom_type[lowest]) in round_ones and not flat else 0.0
+    sole = (low.mean(axis=0) + [0.0, 0.0, radius] - data.xpos[foot]) @ turn
     up = np.array([0.0, 0.0, 1.0]) @ turn if flat or len(swinging) > 2 else None
     return _Leg(foot, sole, up, tuple(joints), swinging[0], swinging[1] if len(swinging) > 1 else None)
 
@@ -388,7 +394,9 @@ def _bend(
     return moved
 
 
-def _fit(residual, start: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, float]:  # noqa: ANN001
+def _fit(
+    residual: Callable[[np.ndarray], np.ndarray], start: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, float]:
     """Minimise a sum of squares within bounds (Levenberg and Marquardt); return where, and how small."""
     angles, values, damping = start.copy(), residual(start), 1e-3
     for _ in range(_ROUNDS):
