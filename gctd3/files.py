@@ -28,6 +28,11 @@ TREE = "tree"  # key of the structure in a file's header
 BLOCK = 1 << 20
 
 
+def title(place: str) -> str:
+    """Return the name of a file that is given by its path or by ``PACKAGE:PATH``: the last part, without its ending."""
+    return Path(place.rpartition(":")[2]).stem
+
+
 def save_tree(path: Path, tree: Any) -> str:  # noqa: ANN401 - any nesting
     """Write nested dicts and lists of tensors, arrays, numbers, texts and ``None``, flushed to the disk.
 

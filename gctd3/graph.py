@@ -5,6 +5,7 @@ from __future__ import annotations
 from omegaconf import DictConfig
 
 from gctd3.config.command_line import command
+from gctd3.robots.command_line import robot_file
 
 
 def _task(config: DictConfig) -> None:
@@ -15,7 +16,7 @@ def _task(config: DictConfig) -> None:
 
 def main() -> None:
     """Run ``python -m gctd3.graph``."""
-    command("graph", _task)
+    command("graph", _task, robot_file)
 
 
 if __name__ == "__main__":

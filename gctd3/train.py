@@ -8,6 +8,7 @@ from pathlib import Path
 
 from gctd3.config.command_line import command
 from gctd3.errors import RunError
+from gctd3.robots.command_line import robot_file
 from gctd3.training.saved_configuration import CONFIG, choices
 from gctd3.training.session import train
 
@@ -23,7 +24,7 @@ def main() -> None:
             with contextlib.suppress(RunError):
                 sys.argv[1:1] = choices(Path(resumed[-1]), sys.argv[1:])
         sys.argv.append(f"hydra.run.dir='{resumed[-1] if there else '.'}'")
-    command("config", train)
+    command("config", train, robot_file)
 
 
 if __name__ == "__main__":

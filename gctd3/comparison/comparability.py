@@ -13,7 +13,7 @@ from gctd3.training.checkpoint import FOLDER
 
 # Keys that must be equal for numbers to be comparable, by the name of what they set.
 TOGETHER = {
-    "robot": ("robot.name", "robot.feet", "robot.forward"),
+    "robot": tuple(f"robot.{key}" for key in ("name", "source", "root", "feet", "forward", "pose", "hold", "servos")),
     "task": ("task._target_", "task.library", "task.name", "task.control_dt", "task.randomisations", "task.commands"),
     "evaluation reward": ("evaluation.reward",),
     "terminations": ("task.terminations",),

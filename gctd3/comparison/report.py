@@ -17,8 +17,9 @@ from gctd3.comparison.runs import Run, evaluated, find_runs, lost_runs
 from gctd3.comparison.settings import ReportSettings
 from gctd3.errors import ConfigError, RenderError, RunError
 from gctd3.evaluation.episode import LAST_METRES
-from gctd3.files import write_text
+from gctd3.files import title, write_text
 from gctd3.robots.robot import Robot
+from gctd3.robots.settings import RobotSettings
 from gctd3.runs.judge import TRACE
 
 if TYPE_CHECKING:
@@ -79,9 +80,11 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
     config = runs[0].config
     walks = "task.name" not in config
     # From these keys alone, so that runs of other versions can be reported on as long as they have been evaluated.
-    named = [config.get(f"robot.{key}") for key in ("name", "feet", "forward")]
-    robot = Robot.from_mjcf(*named) if walks else None
-    subject = Path(str(named[0])).stem if walks else str(config["task.name"])
+    keys = ("name", "feet", "forward", "sources", "source", "root", "pose", "hold")
+    named = {key: config[f"robot.{key}"] for key in keys if f"robot.{key}" in config}
+    asked = RobotSettings(**named)
+    robot = asked.load() if walks else None
+    subject = title(asked.name) if walks else str(config["task.name"])
     gallery = figures.Gallery(out / FIGURES)
 
     limit = time_limit(groups)
@@ -116,7 +119,7 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
         caption = "Of the typical episode of the run whose return is its group's median."
         compared.append(gallery.add(figures.body_height(groups), "body_height", "Body height", caption))
 
-    table5 = tables.table5(groups, robot, walks and named[0] == "biped")
+    table5 = tables.table5(groups, robot, walks and asked.name == "biped")
     sections: list[tuple[str, list[object]]] = [
         ("Learning", [*learning]),
         ("Table 5", [table5, *compared]),

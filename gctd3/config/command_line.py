@@ -26,6 +26,7 @@ from omegaconf.errors import OmegaConfBaseException
 from gctd3.compat import own_launcher
 from gctd3.config.help import CONF, asks_for_help, check_installed, command_of, conf, fail, help_of
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
+from gctd3.files import title
 
 INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
 UNREAD = 141  # and of one whose output nobody reads
@@ -34,23 +35,27 @@ _WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseExcepti
 _USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError)
 
 
-def command(config: str, task: Callable[[DictConfig], object]) -> None:
+def command(
+    config: str, task: Callable[[DictConfig], object], rewrite: Callable[[str], list[str]] = lambda argument: [argument]
+) -> None:
     """Run ``task`` on the configuration that the command line asks for; exit with 2 after a message if it is wrong.
 
     Args:
         config: Name of the root YAML in ``conf/``.
         task: Function of the resolved configuration; its return value goes to Hydra's sweeper.
+        rewrite: Function of an argument that returns what Hydra reads in its place.
     """
     check_installed()
     if asks_for_help():
         print(help_of(command_of(config)))
         return
-    sys.argv[1:] = map(_robot_file, _together(sys.argv[1:]))
+    sys.argv[1:] = _together(sys.argv[1:])
     # A launcher's plug-in has settings of the same name as ours in conf/, on purpose.
     warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/", category=UserWarning)
     # Hydra would print and exit; this way its errors come here, to be said in the library's words.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
+        sys.argv[1:] = [said for argument in sys.argv[1:] for said in rewrite(argument)]
         hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
     except KeyboardInterrupt:
         print("\nInterrupted.", file=sys.stderr)
@@ -85,19 +90,9 @@ def _together(arguments: list[str]) -> list[str]:
     return sorted(arguments, key=lambda argument: not assigns(argument))
 
 
-def _robot_file(argument: str) -> str:
-    """Rewrite ``robot=my.xml`` for Hydra: replace the name of the group's default robot by the file."""
-    key, _, value = argument.partition("=")
-    files = value.split(",")
-    if key != "robot" or not all(file.endswith(".xml") for file in files):
-        return argument
-    # Quoted, so that a path may hold what Hydra's grammar would read as its own.
-    return "robot.name=" + ",".join("'" + file.replace("'", "\\'") + "'" for file in files)
-
-
 def _subject(robot: object, task: str) -> str:
     """Return the name of the robot that walks, whether it ships with gctd3 or is a file, or the library's task."""
-    return Path(str(robot)).stem if task == "walk" else task
+    return title(str(robot)) if task == "walk" else task
 
 
 # The subject of a run, for its path; registered here, so that processes of a sweep know it too.

@@ -14,7 +14,7 @@ from gctd3.config.fields import TARGET
 from gctd3.config.help import conf
 
 _OURS = ("defaults", "hydra", TARGET)  # keys of a YAML that are no settings
-_KEY = re.compile(r"(?P<indent> *)(?P<key>\w+):(?: +(?P<value>[^#]*?))?(?: +# *(?P<comment>.*))?$")
+_KEY = re.compile(r"""(?P<indent> *)(?P<key>\w+|"[^"]+"):(?: +(?P<value>[^#]*?))?(?: +# *(?P<comment>.*))?$""")
 _EVERYWHERE = "# @package _global_"
 
 
@@ -114,12 +114,15 @@ def changes(text: str) -> Iterator[Change]:
         match = _KEY.match(line)
         if match is None:
             continue
-        path = [*path[: len(match["indent"]) // 2], match["key"]]
-        if path[0] in _OURS or path[-1] == TARGET or not match["value"]:
+        path = [*path[: len(match["indent"]) // 2], match["key"].strip('"')]
+        if path[0] in _OURS or path[-1] == TARGET:
             continue
         value = plain
         for key in path:
             value = value[key]
+        # A list may stand below its key; what a mapping holds are keys of their own.
+        if not match["value"] and not isinstance(value, list):
+            continue
         yield Change(".".join(path), value, match["comment"] or " ".join(above))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from gctd3.errors import RobotError, suggest
 from gctd3.robots import home_pose
-from gctd3.robots.draft import Draft, listed
+from gctd3.robots.draft import Draft, check_patterns, listed
 from gctd3.robots.floating_base import AXES
 from gctd3.robots.foot_bodies import foot_geoms, split_feet
 from gctd3.robots.ground import (
@@ -78,6 +78,7 @@ def complete(
     for sentence in before:
         draft.edit(sentence)
     first = draft.model
+    check_patterns(settings.servos, [joint_name(first, j) for j in draft.joints()], "robot.servos", file)
     floor = _ground(draft)
     pose, key, feet, split = _stand(draft, settings, floor)
     if any(split):

@@ -8,15 +8,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 
 from gctd3.errors import RobotError
 from gctd3.robots.completion import complete
 from gctd3.robots.robot import Robot
-from gctd3.robots.settings import RobotSettings
 from gctd3.robots.sources import Source, find_source
 from gctd3.robots.urdf import is_urdf, read_urdf
+
+if TYPE_CHECKING:
+    from gctd3.robots.settings import RobotSettings
 
 
 def load_robot(settings: RobotSettings, feet: Sequence[str] | None = None) -> Robot:
@@ -55,8 +58,24 @@ def read_spec(source: Source, settings: RobotSettings) -> tuple[mujoco.MjSpec, R
     """
     if is_urdf(source.file):
         read = read_urdf(source.file)
-        return read.spec, replace(settings, servos=read.servos(settings.servos)), read.notes
+        return read.spec, settings.within(read.limits), read.notes
     return parse_mjcf(source.file), settings, ()
+
+
+def floats(file: Path) -> bool:
+    """Tell whether the robot of a file has a free base, without compiling it; of a file that is damaged ``False``."""
+    if is_urdf(file):
+        return True
+    try:
+        spec = parse_mjcf(file)
+    except RobotError:
+        return False  # for the one who loads it to say
+
+    def floating(body: mujoco.MjsBody) -> bool:
+        return any(int(joint.type) == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+
+    # A body with a free joint and nothing else, such as a ball, is scenery.
+    return any(floating(body) and len(body.find_all("joint")) > 1 for body in spec.worldbody.bodies)
 
 
 def parse_mjcf(file: Path) -> mujoco.MjSpec:

@@ -58,14 +58,19 @@ def find_mjcf(path: str | Path) -> Path:
         if not file.is_file():
             raise RobotError(f"No MJCF file at {file}.")
         return file
-    models = Path(str(resources.files("gctd3.models")))
-    shipped = sorted(p.parent.name for p in models.glob("*/*.xml") if p.stem == p.parent.name)
+    shipped = shipped_robots()
     if str(path) not in shipped:
         raise RobotError(
             f"No robot {str(path)!r}.{suggest(path, shipped)} "
-            f"Give a path to an .xml file, or one of {', '.join(shipped)}."
+            f"Give a path to an .xml or .urdf file, or one of {', '.join(shipped)}."
         )
-    return models / str(path) / f"{path}.xml"
+    return shipped[str(path)]
+
+
+def shipped_robots() -> dict[str, Path]:
+    """Return the files of the robots that ship with the library, by name."""
+    models = Path(str(resources.files("gctd3.models")))
+    return {p.stem: p for p in sorted(models.glob("*/*.xml")) if p.stem == p.parent.name}
 
 
 def load_mjcf(source: str | Path | mujoco.MjModel | mujoco.MjSpec) -> tuple[mujoco.MjModel, Path]:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -20,8 +21,10 @@ from gctd3.robots.floating_base import AXES, Axis, Base, find_forward
 from gctd3.robots.ground import contact_sensors
 from gctd3.robots.mirror_pairs import count_reflected, pair_joints, reflected_sign, swap_side
 from gctd3.robots.mjcf import Joint, body_name, load_mjcf, read_actuated, read_joints, root_body
-from gctd3.robots.sources import Source
 from gctd3.robots.standing_pose import check_standing, find_standing, find_start
+
+if TYPE_CHECKING:
+    from gctd3.robots.sources import Source
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,13 @@ class Robot:
             notes=notes,
             held=held or {},
         )
+
+    @property
+    def origin(self) -> str:
+        """Return where the file comes from and what was added to it, a line each; nothing if it ships as it is used."""
+        if self.source is None or (self.source.ships and not self.notes):
+            return ""
+        return "\n".join([f"Robot: {self.source}", *(f"  {note}" for note in self.notes)])
 
     # Base.
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from gctd3.errors import RobotError
 from gctd3.robots.actuators import is_position_servo
-from gctd3.robots.draft import Draft, check_patterns, first_fitting, listed, spread
+from gctd3.robots.draft import Draft, first_fitting, listed, spread
 from gctd3.robots.mjcf import joint_kind, joint_name
 from gctd3.robots.settings import ServoSettings
 
@@ -61,12 +61,11 @@ def complete_servos(
         limits: What the file says of servos by the joint's name, and MJCF has no place for.
 
     Raises:
-        RobotError: If a pattern fits no joint, or a range cannot be one of angles.
+        RobotError: If a range cannot be one of angles.
     """
     drop_actuators(draft)
     model = draft.model
     own = draft.joints()
-    check_patterns(asked, [joint_name(model, j) for j in own], "robot.servos", draft.file)
     elements = {joint_id(model, a.target): a for a in draft.spec.actuators}
     if not elements:
         elements = _add_actuators(draft, [j for j in own if joint_kind(model, j) == "hinge"])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Literal
 
 from gctd3.errors import ConfigError, check_seed
@@ -47,9 +48,10 @@ class RobotSettings:
         name: Robot that ships with gctd3; the path of an MJCF or URDF file (robot=my.xml says the same);
             ``menagerie:NAME``; ``description:MODULE``; or ``PACKAGE:PATH`` of a file of an installed package. Unused by
             a library's task, which brings its own.
-        sources: Places of the robot's file, each as ``name`` would say it; the first that is installed is read, and
-            ``name`` is then but a name.
-        source: The one of ``sources`` to read, or the package of one; ``None`` for the first that is installed.
+        sources: Places of the robot's file, each as ``name`` would say it; the first that is installed is read, unless
+            ``name`` says a place itself.
+        source: The one of ``sources`` to read, or the package of one; ``None`` for the first that is installed. A run
+            keeps the one that it read.
         graph: Edges between its nodes: ``tree`` (the paper's), ``authors`` (the released script's), ``edgeless``,
             ``complete`` or ``random``.
         graph_seed: Seed of graph=random.
@@ -82,6 +84,22 @@ class RobotSettings:
 
     def __post_init__(self) -> None:
         check_seed("graph_seed", self.graph_seed)
+
+    def within(self, limits: Mapping[str, Mapping[str, float]]) -> RobotSettings:
+        """Add what a file says of single joints' servos where their patterns leave it to the file."""
+        servos = {}
+        for joint, said in limits.items():
+            asked = next((s for pattern, s in self.servos.items() if fnmatchcase(joint, pattern)), ServoSettings())
+            servos[joint] = replace(asked, **{key: v for key, v in said.items() if getattr(asked, key) is None})
+        # Joints first: of the patterns that fit, the first counts.
+        return replace(self, servos=servos | {key: s for key, s in self.servos.items() if key not in servos})
+
+    @property
+    def takes_a_source(self) -> bool:
+        """Return whether one of ``sources`` is read."""
+        from gctd3.robots.sources import is_place
+
+        return bool(self.sources) and not is_place(self.name)
 
     def load(self, feet: Sequence[str] | None = None) -> Robot:
         """Load the robot, with other feet if some are named.

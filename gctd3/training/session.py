@@ -64,12 +64,17 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     with only_one(run), _output(run, stop):
         if not resumed:
             refuse_a_run(run)
+        if settings.robot.takes_a_source and setup.robot.source is not None:
+            # Whatever else is installed when the run is continued or judged, it is of this file.
+            config.robot.source = setup.robot.source.place
         trainer = Trainer(settings, run, {"config": OmegaConf.to_container(config, resolve=True)}, setup)
         if resumed and not trainer.restore():
             print(f"{run} has no checkpoint yet: it starts from the beginning.")
         save_config(run, config, overrides)
         print(OmegaConf.to_yaml(config))
         print(f"Run directory: {run}\n", flush=True)
+        if setup.robot.origin:
+            print(f"{setup.robot.origin}\n", flush=True)
         if trainer.finished and sweeping:
             print("It is finished already.")
         elif trainer.finished:

@@ -213,6 +213,8 @@ def show_graph(config: DictConfig) -> None:
     settings: GraphSettings = build(OmegaConf.masked_copy(config, ["_target_", *GraphSettings.__dataclass_fields__]))
     robot = settings.robot.load(settings.feet)
     graph = KinematicGraph.from_robot(robot, settings.robot.graph, settings.robot.graph_seed)
+    if robot.origin:
+        print(f"{robot.origin}\n")
     print(f"{robot.path}: {robot.base.kind} base, forward {robot.forward_axis}, feet {', '.join(robot.feet)}")
     print(graph)
     if settings.out is not None:

@@ -103,7 +103,7 @@ def test_ctrl_c_ends_a_command_with_a_line(capsys, monkeypatch):
     def interrupted(*arguments, **named):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gctd3.robots.robot.Robot.from_mjcf", interrupted)
+    monkeypatch.setattr("gctd3.robots.robot.Robot.from_model", interrupted)
     assert command("graph", "robot=biped") == 130
     assert capsys.readouterr().err == "\nInterrupted.\n"
 

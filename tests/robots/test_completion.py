@@ -459,10 +459,15 @@ def test_of_several_actuators_the_position_servo_stays(tmp_path):
     assert robot.action_names[0] == "p_hip_fl" and robot.model.nu == 8
 
 
-ARM = """<body name="arm" pos=".1 0 .05" euler="0 0 30"><joint name="shoulder" axis="0 0 1" pos=".01 .02 0" range="-90 90"/>
+ARM = """
+<body name="arm" pos=".1 0 .05" euler="0 0 30">
+  <joint name="shoulder" axis="0 0 1" pos=".01 .02 0" range="-90 90"/>
   <joint name="tilt" axis="0 1 0" range="-90 90"/>
-  <joint name="roll" axis="1 0 0" pos="0 0 .03" range="-90 90"/><geom type="capsule" fromto="0 0 0 .1 0 .05" size=".02" mass=".2"/>
-  <body name="hand" pos=".1 0 .05"><joint name="wrist" axis="0 1 0" range="-90 90"/><geom name="hand" size=".02" mass=".1"/></body>
+  <joint name="roll" axis="1 0 0" pos="0 0 .03" range="-90 90"/>
+  <geom type="capsule" fromto="0 0 0 .1 0 .05" size=".02" mass=".2"/>
+  <body name="hand" pos=".1 0 .05">
+    <joint name="wrist" axis="0 1 0" range="-90 90"/><geom name="hand" size=".02" mass=".1"/>
+  </body>
 </body>"""
 
 

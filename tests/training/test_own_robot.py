@@ -64,3 +64,22 @@ def test_what_is_no_setting_is_still_refused(tmp_path, capsys):
     assert "--no-such-option" in capsys.readouterr().err
     assert command("train", *tiny(tmp_path / "run", "robot=mine")) == 2
     assert "Could not find 'robot/mine'" in capsys.readouterr().err
+
+
+def test_a_run_keeps_the_file_that_it_read(tmp_path, monkeypatch):
+    """Of a list of packages the one that was installed, whatever comes later."""
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    places = ["early_walkers:robot.xml", "late_walkers:robot.xml"]
+
+    def install(name, text):
+        (tmp_path / "site" / name).mkdir(parents=True)
+        write(tmp_path / "site" / name, text)
+        (tmp_path / "site" / name / "__init__.py").touch()
+
+    (tmp_path / "own/robot/walker.yaml").write_text(f"_target_: gctd3.RobotSettings\nname: walker\nsources: {places}\n")
+    install("late_walkers", TWO_LEGS)
+    assert answered("train", *tiny(tmp_path / "run", "robot=walker", "--config-dir=own")) == 0
+    install("early_walkers", "<mujoco/>")
+    robot = load_settings(tmp_path / "run").robot
+    assert robot.source == places[1] and robot.load().source.file == tmp_path / "site/late_walkers/robot.xml"
+    assert answered("train", f"resume={tmp_path / 'run'}", "--config-dir=own") == 0
