@@ -57,19 +57,25 @@ class Held:
 
 
 def leg_ends(model: mujoco.MjModel, root: int, floor: int) -> list[int]:
-    """Return the indices of the bodies at the ends of chains that can touch the floor."""
+    """Return the indices of the bodies at the ends of chains of joints that can touch the floor."""
     touching = [
         b
         for b in bodies_below(model, root)
-        if b != root and any(can_collide(model, g, floor) for g in geoms_of(model, b))
+        if int(model.body_weldid[b]) != int(model.body_weldid[root])
+        and any(can_collide(model, g, floor) for g in geoms_of(model, b))
     ]
-    inner = set[int]()
-    for body in touching:
-        above = int(model.body_parentid[body])
-        while above not in inner and above:
-            inner.add(above)
-            above = int(model.body_parentid[above])
-    return [body for body in touching if body not in inner]
+    inner = {above for body in touching for above in _above(model, body)}
+    # What is fixed to a link, as parts of URDFs are, is no farther from the root than the link.
+    links = {above for body in touching for above in _above(model, int(model.body_weldid[body]))}
+    return [body for body in touching if body not in inner and int(model.body_weldid[body]) not in links]
+
+
+def _above(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return the indices of the bodies between a body and the world."""
+    found = list[int]()
+    while body := int(model.body_parentid[body]):
+        found.append(body)
+    return found
 
 
 def stance(model: mujoco.MjModel, root: int, floor: int, qpos: np.ndarray, ends: Sequence[int]) -> Stance:
@@ -331,7 +337,7 @@ def _leg(
     lowest = min(parts, key=lambda g: lowest_point(model, data, [g]))
     round_ones = (int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE))
     radius = float(model.geom_size[lowest, 0]) if int(model.geom_type[lowest]) in round_ones and not flat else 0.0
-    sole = (low.mean(axis=0) + [0.0, 0.0, radius] - data.xpos[foot]) @ turn
+    sole = (low.mean(axis=0) + radius * np.array([0.0, 0.0, 1.0]) - data.xpos[foot]) @ turn
     up = np.array([0.0, 0.0, 1.0]) @ turn if flat or len(swinging) > 2 else None
     return _Leg(foot, sole, up, tuple(joints), swinging[0], swinging[1] if len(swinging) > 1 else None)
 

@@ -71,7 +71,7 @@ def complete_servos(
         elements = _add_actuators(draft, [j for j in own if joint_kind(model, j) == "hinge"])
     gains = _Gains(model, qpos, load, list(elements))
     made: dict[str, list[tuple[str, float, float]]] = {}
-    moved, speeds = list[str](), list[str]()
+    moved, speeds, endless = list[str](), list[str](), list[str]()
     for joint, actuator in elements.items():
         if joint_kind(model, joint) != "hinge":
             continue
@@ -104,6 +104,8 @@ def complete_servos(
         if damping is None:
             damping = float(f"{stiffness * 2 * DAMPING_RATIO / FREQUENCY:.3g}")
         angles = _range_of(model, joint, drive.range, float(qpos[int(model.jnt_qposadr[joint])]))
+        if drive.range is None and not model.jnt_limited[joint]:
+            endless.append(name)
         _write(actuator, stiffness, damping, (drive.low, drive.high), angles)
         what = _sentence(model, old, drive, derived, wanted)
         made.setdefault(what, []).append((name, stiffness, damping))
@@ -115,6 +117,8 @@ def complete_servos(
         draft.edit(
             f"The torque limits of {listed(moved)} are their servos' now: MuJoCo slows a servo at a joint's limit."
         )
+    if endless:
+        draft.edit(f"{listed(endless)} have no range; their servos turn them by half a turn from the standing pose.")
     if speeds:
         draft.edit(f"The velocity limits of {listed(speeds)} are not simulated: MuJoCo's servos have none.")
     _check_integrator(draft, gains.inertia)
