@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from gctd3.robots.actuators import is_position_servo, rest_servos
+from gctd3.robots.floating_base import UP
 from gctd3.robots.geometry import geom_points, lowest_point
 from gctd3.robots.ground import can_collide, geoms_of
 from gctd3.robots.mjcf import base_joints, bodies_below, driven_joints
@@ -238,7 +239,8 @@ class _Leg:
     Attributes:
         foot: Index of its foot.
         sole: Middle of the sole in the foot's frame (m).
-        up: Direction in the foot's frame that is up where the sole is level; ``None`` for a ball.
+        level: Rows: directions in the foot's frame that are up and forward where the sole is level; ``None`` for a
+            ball. Shape ``[2, 3]``.
         joints: Its joints from the root down.
         hip: The one of them that swings the leg forward.
         knee: The next of the kind; ``None`` if there is none.
@@ -246,7 +248,7 @@ class _Leg:
 
     foot: int
     sole: np.ndarray
-    up: np.ndarray | None
+    level: np.ndarray | None
     joints: tuple[int, ...]
     hip: int
     knee: int | None
@@ -269,7 +271,7 @@ def find_pose(
     """
     base, _ = clipped(model, model.qpos0, range(model.njnt))
     data = _placed(model, base)
-    lateral = np.cross([0.0, 0.0, 1.0], forward)
+    lateral = np.cross(UP, forward)
     legs = [_leg(model, data, root, foot, floor, lateral) for foot in feet]
     chosen = [leg for leg in legs if leg is not None and leg.knee is not None]
     if len(chosen) < len(feet):
@@ -337,9 +339,9 @@ def _leg(
     lowest = min(parts, key=lambda g: lowest_point(model, data, [g]))
     round_ones = (int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE))
     radius = float(model.geom_size[lowest, 0]) if int(model.geom_type[lowest]) in round_ones and not flat else 0.0
-    sole = (low.mean(axis=0) + radius * np.array([0.0, 0.0, 1.0]) - data.xpos[foot]) @ turn
-    up = np.array([0.0, 0.0, 1.0]) @ turn if flat or len(swinging) > 2 else None
-    return _Leg(foot, sole, up, tuple(joints), swinging[0], swinging[1] if len(swinging) > 1 else None)
+    sole = (low.mean(axis=0) + radius * UP - data.xpos[foot]) @ turn
+    level = np.stack([UP, np.cross(lateral, UP)]) @ turn if flat or len(swinging) > 2 else None
+    return _Leg(foot, sole, level, tuple(joints), swinging[0], swinging[1] if len(swinging) > 1 else None)
 
 
 def _bend(
@@ -361,13 +363,17 @@ def _bend(
     rest = np.clip(base[places], low, high)
     data = mujoco.MjData(model)
     knee = leg.knee if leg.knee is not None else leg.hip
+    lateral = np.cross(UP, forward)
 
     def reach(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         data.qpos[:] = pose
         data.qpos[places] = angles
         mujoco.mj_kinematics(model, data)
         turn = _turn(data, leg.foot)
-        level = (turn @ leg.up)[:2] if leg.up is not None else np.zeros(2)
+        level = np.zeros(3)
+        if leg.level is not None:
+            up, ahead = leg.level @ turn.T
+            level = np.array([up[0], up[1], ahead @ lateral])
         return data.xpos[leg.foot] + turn @ leg.sole, level, data.xanchor[leg.hip].copy(), data.xanchor[knee].copy()
 
     def residual(angles: np.ndarray, length: float | None) -> np.ndarray:
@@ -388,7 +394,7 @@ def _bend(
         bent[leg.joints.index(leg.hip)] += 0.5 * sign
         bent[leg.joints.index(knee)] -= 1.0 * sign
         starts.append(np.clip(bent, low, high))
-    lateral, straight_foot = np.cross([0.0, 0.0, 1.0], forward), np.zeros(3)
+    straight_foot = np.zeros(3)
     straight = min(
         (_fit(lambda a: residual(a, None), start, low, high) for start in starts), key=lambda found: found[1]
     )
