@@ -118,7 +118,7 @@ def complete_servos(
             f"The torque limits of {listed(moved)} are their servos' now: MuJoCo slows a servo at a joint's limit."
         )
     if endless:
-        draft.edit(f"{listed(endless)} have no range; their servos turn them by half a turn from the standing pose.")
+        draft.edit(f"Without ranges, their servos turn {listed(endless)} by half a turn from the standing pose.")
     if speeds:
         draft.edit(f"The velocity limits of {listed(speeds)} are not simulated: MuJoCo's servos have none.")
     _check_integrator(draft, gains.inertia)

@@ -131,6 +131,33 @@ def test_the_ground_that_pairs_name_is_added(tmp_path):
     assert RobotSettings(name=str(path)).load().model.geom("arena").type == mujoco.mjtGeom.mjGEOM_PLANE
 
 
+def test_geoms_for_collisions_touch_the_ground_in_a_file_without_its_scene(tmp_path):
+    path = dog(tmp_path, floor="")
+    text = path.read_text().replace('<geom name="', '<geom contype="0" conaffinity="0" group="3" name="')
+    path.write_text(text)
+    robot = RobotSettings(name=str(path)).load()
+    assert len(robot.feet) == 4 and any("those of group 3 and above touch the ground" in note for note in robot.notes)
+    path.write_text(text.replace('group="3"', ""))
+    with pytest.raises(RobotError, match=r"has no foot: no .* can touch the ground"):
+        RobotSettings(name=str(path)).load()
+
+
+def test_a_level_box_and_a_height_field_are_ground(tmp_path):
+    box = '<geom name="slab" type="box" size="5 5 .1" pos="0 0 -.3"/>'
+    robot = RobotSettings(name=str(dog(tmp_path, floor=box))).load()
+    # Two links at 0.87 of their length above the top of the slab.
+    assert robot.standing_qpos[2] == pytest.approx(0.87 * 0.4 + 0.03 - 0.2, abs=0.005)
+    field = '<geom name="hill" type="hfield" hfield="hill" pos="0 0 .5"/>'
+    path = dog(tmp_path, floor=field, rest="")
+    asset = (
+        '<asset><hfield name="hill" nrow="3" ncol="3" size="5 5 1 1" elevation="1 1 1 1 1 1 1 1 1"/></asset><worldbody>'
+    )
+    path.write_text(path.read_text().replace("<worldbody>", asset))
+    robot = RobotSettings(name=str(path)).load()
+    assert [name for name in range(robot.model.ngeom) if robot.model.geom_type[name] == 0] == []
+    assert len(robot.feet) == 4
+
+
 def test_shanks_that_carry_a_ball_get_feet_of_their_own(tmp_path):
     path = dog(tmp_path)
     robot, before = RobotSettings(name=str(path)).load(), mujoco.MjModel.from_xml_path(str(path))
@@ -318,6 +345,16 @@ def test_a_file_without_actuators_gets_servos_for_every_hinge(tmp_path):
     robot = RobotSettings(name=str(dog(tmp_path))).load()
     assert robot.actuated == tuple(joint.name for joint in robot.joints) and len(robot.joints) == 8
     trains(robot)
+
+
+def test_servos_of_endless_joints_turn_by_half_a_turn(tmp_path):
+    path = dog(tmp_path, '<position joint="{n}" kp="40" kv="1"/>')
+    path.write_text(path.read_text().replace('name="hip_fl" axis="0 1 0" range="-90 90"', 'name="hip_fl" axis="0 1 0"'))
+    robot = RobotSettings(name=str(path)).load()
+    home = robot.standing_qpos[robot.joint("hip_fl").qpos]
+    np.testing.assert_allclose(robot.action_range[0], [home - np.pi, home + np.pi])
+    np.testing.assert_allclose(robot.action_range[1], robot.joint("knee_fl").range)
+    assert any("turn hip_fl by half a turn" in note for note in robot.notes)
 
 
 def test_settings_say_what_servos_are_like(tmp_path):
