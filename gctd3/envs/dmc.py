@@ -15,6 +15,7 @@ from torchrl.envs import DMControlWrapper
 
 from gctd3.envs.mujoco_state import integration_state, load_integration_state
 from gctd3.envs.simulation import substeps_of
+from gctd3.robots.actuators import rest_servos
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.memory import Memory
 from gctd3.tasks.outcome import Outcome
@@ -56,6 +57,7 @@ class DMTask(base.Task):
     def initialize_episode(self, physics: Physics) -> None:
         """Put the robot into the start pose and velocities of an episode."""
         physics.data.qpos[:], physics.data.qvel[:] = self.task.start(self.random)
+        rest_servos(physics.model.ptr, physics.data.ptr)
         self.restart(physics)
 
     def restart(self, physics: Physics) -> None:

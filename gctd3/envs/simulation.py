@@ -10,6 +10,7 @@ import mujoco.rollout
 import numpy as np
 
 from gctd3.errors import ConfigError, NumericalError, RobotError
+from gctd3.robots.actuators import rest_servos
 from gctd3.robots.robot import Robot
 from gctd3.tasks.measurement import Measurement, put_rows
 from gctd3.tasks.memory import Memory
@@ -90,6 +91,7 @@ class Simulation:
             mujoco.mj_resetData(model, data)
             data.time = BEGINNING
             data.qpos[:], data.qvel[:] = task.start(self.rng)
+            rest_servos(model, data)
             mujoco.mj_forward(model, data)
             # All of it: actuators can have a state of their own.
             mujoco.mj_getState(model, data, self.state[robot], mujoco.mjtState.mjSTATE_FULLPHYSICS.value)

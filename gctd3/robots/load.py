@@ -5,8 +5,8 @@ Library code that has a model in memory builds a :class:`.Robot` from it directl
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ import mujoco
 
 from gctd3.errors import RobotError
 from gctd3.robots.action_scale import find_action_scale
+from gctd3.robots.completion import complete
 from gctd3.robots.robot import Robot
 from gctd3.robots.sources import Source, find_source
 from gctd3.robots.standing_command import find_standing_command
@@ -21,23 +22,6 @@ from gctd3.robots.urdf import is_urdf, read_urdf
 
 if TYPE_CHECKING:
     from gctd3.robots.settings import RobotSettings
-
-
-@dataclass(frozen=True)
-class Completed:
-    """Hold the model of a file with what was added to it.
-
-    Attributes:
-        model: The compiled model.
-        spec: What it was compiled from, which can be changed and compiled again.
-        notes: One sentence for each thing that was added or changed.
-        held: Angle (rad) of each joint that was fixed, by name.
-    """
-
-    model: mujoco.MjModel
-    spec: mujoco.MjSpec
-    notes: tuple[str, ...] = ()
-    held: Mapping[str, float] = field(default_factory=dict)
 
 
 def load_robot(settings: RobotSettings, feet: Sequence[str] | None = None) -> Robot:
@@ -48,12 +32,16 @@ def load_robot(settings: RobotSettings, feet: Sequence[str] | None = None) -> Ro
     """
     source = find_source(settings)
     spec, settings, notes = read_spec(source, settings)
-    completed = _complete(spec, source.file, settings)
+    if feet is not None:
+        settings = replace(settings, feet=feet)
+    completed = complete(spec, source.file, settings)
     robot = Robot.from_model(
         completed.model,
         source.file,
-        settings.feet if feet is None else feet,
+        completed.feet,
         settings.forward,
+        root_name=completed.root,
+        driven=True,
         source=source,
         notes=(*notes, *completed.notes),
         held=completed.held,
@@ -108,16 +96,3 @@ def parse_mjcf(file: Path) -> mujoco.MjSpec:
         raise RobotError(f"{file} has a name that is not UTF-8: {error}") from error
     except ValueError as error:
         raise RobotError(f"{file} is not an MJCF that MuJoCo can compile: {error}") from error
-
-
-def _complete(spec: mujoco.MjSpec, file: Path, settings: RobotSettings) -> Completed:
-    """Compile a file as it is."""
-    try:
-        # As MuJoCo reads the file by itself, to the last bit.
-        model = spec.compile() if is_urdf(file) else mujoco.MjModel.from_xml_path(str(file))
-        bytes(model.names).decode()
-    except UnicodeDecodeError as error:
-        raise RobotError(f"{file} has a name that is not UTF-8: {error}") from error
-    except ValueError as error:
-        raise RobotError(f"{file} is not an MJCF that MuJoCo can compile: {error}") from error
-    return Completed(model, spec)

@@ -31,10 +31,10 @@ import mujoco
 import numpy as np
 
 from gctd3.robots.geometry import geom_points
+from gctd3.robots.ground import ground_height
 from gctd3.robots.mirror_pairs import line_distance, pair_joints, reflect_axes, zero_pose
 from gctd3.robots.mjcf import Joint, base_joints, bodies_below, body_name, colliding_geoms, joint_kind, read_joints
 from gctd3.robots.robot import Robot
-from gctd3.robots.standing_pose import ground_height
 
 STATES = 100  # compared in the air, and as many on the ground
 MOST_RESIDUAL = 0.05  # of the motion of one step: less than what policies are trained to bear by randomised masses

@@ -124,22 +124,38 @@ def bodies_below(model: mujoco.MjModel, root: int) -> list[int]:
     return sorted(inside)
 
 
-def root_body(model: mujoco.MjModel, file: Path) -> int:
+def root_body(model: mujoco.MjModel, file: Path, name: str | None = None) -> int:
     """Return the index of the robot's root: the one body under the world with joints on it or below it.
 
     Beside a robot, a body with one free joint and no other joint, such as a ball, is scenery.
 
+    Args:
+        model: The model.
+        file: Path of the MJCF, for messages.
+        name: Name of the root, for a file with several robots; the others are then scenery, too.
+
     Raises:
-        RobotError: If there is none, or more than one.
+        RobotError: If there is none, or more than one and none is named.
     """
     trees = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0]
     joints = {b: sum(int(model.body_jntnum[c]) for c in bodies_below(model, b)) for b in trees}
     moving = [b for b in trees if joints[b] > 0]
     articulated = [b for b in moving if joints[b] > 1 or not _floats(model, b)]
     roots = articulated or moving
+    known = {body_name(model, b): b for b in roots}
+    if name is not None:
+        if name not in known:
+            raise RobotError(
+                f"{file} has no root body {name!r} with joints under the world.{suggest(name, known)} "
+                f"It has {', '.join(known) or 'none'}."
+            )
+        return known[name]
     if len(roots) != 1:
         names = ", ".join(model.body(b).name or "(unnamed)" for b in roots) or "none"
-        raise RobotError(f"{file}: expected one root body with joints under the world, got {len(roots)}: {names}.")
+        choose = f"; choose one with robot.root={next(iter(known))}" if roots else ""
+        raise RobotError(
+            f"{file}: expected one root body with joints under the world, got {len(roots)}: {names}{choose}."
+        )
     return roots[0]
 
 
@@ -159,8 +175,15 @@ def base_joints(model: mujoco.MjModel, root: int) -> range:
     return own if displaced else range(0)
 
 
-def read_joints(model: mujoco.MjModel, root: int, file: Path) -> list[Joint]:
-    """Read all joints of the robot outside its base, in the MJCF's order; joints of one body form a chain.
+def read_joints(model: mujoco.MjModel, root: int, file: Path, driven: bool = False) -> list[Joint]:
+    """Read the joints of the robot outside its base, in the MJCF's order; joints of one body form a chain.
+
+    Args:
+        model: The model.
+        root: Index of the robot's root body.
+        file: Path of the MJCF, for messages.
+        driven: Whether to read only those with an actuator of their own, if any has one. The parent of a joint is
+            then the next of them towards the root.
 
     Raises:
         RobotError: If there is none.
@@ -168,10 +191,10 @@ def read_joints(model: mujoco.MjModel, root: int, file: Path) -> list[Joint]:
     joints: list[Joint] = []
     last_on_body: dict[int, str] = {}
     base, robot = base_joints(model, root), set(bodies_below(model, root))
-    for i in range(model.njnt):
+    own = [i for i in range(model.njnt) if int(model.jnt_bodyid[i]) in robot and i not in base]
+    moved = set(driven_joints(model)) if driven else set()
+    for i in [i for i in own if i in moved] or own:
         body = int(model.jnt_bodyid[i])
-        if body not in robot or i in base:
-            continue
         name = joint_name(model, i)
         above = body
         while above and above not in last_on_body:
@@ -199,16 +222,21 @@ def read_joints(model: mujoco.MjModel, root: int, file: Path) -> list[Joint]:
 def read_actuated(model: mujoco.MjModel, joints: Sequence[Joint]) -> list[str]:
     """Return the joint that each actuator drives, for those that drive one of ``joints``; motors and servos alike."""
     names = {joint.id: joint.name for joint in joints}
+    return [names[joint] for joint in driven_joints(model) if joint in names]
+
+
+def driven_joints(model: mujoco.MjModel) -> list[int]:
+    """Return the index of the joint of each actuator that drives one, in order."""
     on_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    driven = [int(model.actuator_trnid[i, 0]) for i in range(model.nu) if model.actuator_trntype[i] in on_joint]
-    return [names[joint] for joint in driven if joint in names]
+    return [int(model.actuator_trnid[i, 0]) for i in range(model.nu) if model.actuator_trntype[i] in on_joint]
 
 
 def colliding_geoms(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return the indices of a body's geoms that can collide."""
+    """Return the indices of a body's geoms that can collide, by their types or as part of an explicit pair."""
     start = int(model.body_geomadr[body])
     own = range(start, start + int(model.body_geomnum[body]))
-    return [g for g in own if model.geom_contype[g] or model.geom_conaffinity[g]]
+    paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
+    return [g for g in own if model.geom_contype[g] or model.geom_conaffinity[g] or g in paired]
 
 
 def leaf_bodies(model: mujoco.MjModel, root: int) -> list[int]:

@@ -19,6 +19,7 @@ from gctd3.robots.actuators import check_servos
 from gctd3.robots.feet import find_feet, named_feet
 from gctd3.robots.floating_base import AXES, Axis, Base, find_forward
 from gctd3.robots.geometry import lowest_point
+from gctd3.robots.ground import contact_sensors
 from gctd3.robots.mirror_pairs import Pairs, Plane, pair_joints, reflected_sign, swap_side, zero_pose
 from gctd3.robots.mjcf import (
     Joint,
@@ -49,7 +50,8 @@ class Robot:
         model: The compiled MuJoCo model.
         path: The MJCF file, or the label of a model in memory.
         root: Name of the body that carries the base joints.
-        joints: All joints outside the base, in the order of the MJCF (depth first).
+        joints: The joints outside the base, in the order of the MJCF (depth first); those of a completed file are
+            the driven ones.
         actuated: For each actuator of a joint, in order, the name of the joint that it drives.
         feet: Names of the bodies that may touch the ground.
         forward_axis: Forward direction: ``x``, ``-x``, ``y`` or ``-y`` of the world.
@@ -104,13 +106,27 @@ class Robot:
         feet: str | Sequence[str] | None = None,
         forward: Axis | None = None,
         *,
+        root_name: str | None = None,
+        driven: bool = False,
         source: Source | None = None,
         notes: tuple[str, ...] = (),
         held: Mapping[str, float] | None = None,
     ) -> Robot:
-        """Read a robot from the compiled model of a file, which messages name; see :meth:`from_mjcf`."""
-        root = root_body(model, file)
-        joints = read_joints(model, root, file)
+        """Read a robot from the compiled model of a file, which messages name; see :meth:`from_mjcf`.
+
+        Args:
+            model: The compiled model.
+            file: Path of the file, for messages.
+            feet: See :meth:`from_mjcf`.
+            forward: See :meth:`from_mjcf`.
+            root_name: Name of the root body; ``None`` where there is but one robot.
+            driven: Whether joints without an actuator, if others have one, are none of the robot's :attr:`joints`.
+            source: Where the file comes from.
+            notes: One sentence for each thing that was added to the file or changed.
+            held: Angle (rad) of each joint of the file that was fixed, by name.
+        """
+        root = root_body(model, file, root_name)
+        joints = read_joints(model, root, file, driven)
         if forward is not None and forward not in AXES:
             raise RobotError(f"forward must be one of {', '.join(AXES)}, got {forward!r}.")
         if forward is None:
@@ -142,7 +158,7 @@ class Robot:
     @cached_property
     def base(self) -> Base:
         """Return the base: the degrees of freedom of the root body."""
-        return Base(self.model, root_body(self.model, self.path), self.forward_axis)
+        return Base(self.model, root_body(self.model, self.path, self.root), self.forward_axis)
 
     @property
     def forward(self) -> int:
@@ -177,6 +193,11 @@ class Robot:
         return find_start(self.base, self.standing_qpos)
 
     # Joints and actuators.
+
+    @cached_property
+    def inner_joints(self) -> tuple[int, ...]:
+        """Return MuJoCo's indices of all joints outside the base, driven or not."""
+        return tuple(joint.id for joint in read_joints(self.model, self.base.root, self.path))
 
     def joint(self, name: str) -> Joint:
         """Return the joint with a given name.
@@ -356,12 +377,7 @@ class Robot:
 
     @cached_property
     def _contact_sensors(self) -> dict[str, int]:
-        model, found = self.model, {}
-        for i in range(model.nsensor):
-            is_contact = model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT
-            if is_contact and model.sensor_objtype[i] == mujoco.mjtObj.mjOBJ_BODY:
-                found[body_name(model, int(model.sensor_objid[i]))] = int(model.sensor_adr[i])
-        return found
+        return contact_sensors(self.model, self.base.root)
 
     # Mirror: reflection in the sagittal plane.
 

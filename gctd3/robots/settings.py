@@ -55,8 +55,8 @@ class RobotSettings:
         graph: Edges between its nodes: ``tree`` (the paper's), ``authors`` (the released script's), ``edgeless``,
             ``complete`` or ``random``.
         graph_seed: Seed of graph=random.
-        feet: Bodies (or geoms of theirs) that may touch the ground; ``None`` for those at the ends of the legs that it
-            stands on.
+        feet: Bodies that may touch the ground, or geoms or sites in place of bodies of which only a part may; ``None``
+            for those at the ends of the legs that it stands on.
         forward: Forward direction among the axes of the world: x, -x, y or -y; ``None`` for that of its slide, or else
             the one for which its left and right sides are equal.
         root: Root body of the robot, for a file that holds several robots; ``None`` where there is one.

@@ -11,6 +11,7 @@ import numpy as np
 from gctd3.errors import RobotError
 from gctd3.robots.floating_base import Base
 from gctd3.robots.geometry import lowest_point
+from gctd3.robots.ground import ground_height
 from gctd3.robots.mjcf import colliding_geoms, named_pose, standing_pose
 
 MOST_DROP = 0.05  # m: from how far above standing an episode may begin
@@ -72,27 +73,6 @@ def check_standing(base: Base, feet: Sequence[int], file: Path) -> None:
             f"z = {lowest:.4g} m: {'lower' if lowest > ground else 'raise'} it by {abs(lowest - ground):.4g} m, or "
             "leave it out, and the robot stands in its reference pose."
         )
-
-
-def ground_height(model: mujoco.MjModel) -> float | None:
-    """Find the height of the ground (m): a static level plane, or the top of a static level box; ``None`` without one.
-
-    The ground is the highest geom that the contact sensors refer to; without such sensors the highest plane.
-    """
-    data, types = mujoco.MjData(model), mujoco.mjtGeom
-    mujoco.mj_kinematics(model, data)
-    contact = model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT
-    told = model.sensor_refid[contact & (model.sensor_reftype == mujoco.mjtObj.mjOBJ_GEOM)]
-    planes = np.flatnonzero(model.geom_type == types.mjGEOM_PLANE)
-    thickness = {int(types.mjGEOM_PLANE): 0.0, int(types.mjGEOM_BOX): 1.0}
-    heights = [
-        float(data.geom_xpos[geom, 2] + thickness[int(model.geom_type[geom])] * model.geom_size[geom, 2])
-        for geom in (told if len(told) else planes)
-        if int(model.geom_type[geom]) in thickness
-        and model.body_weldid[model.geom_bodyid[geom]] == 0
-        and data.geom_xmat[geom, 8] > 1.0 - 1e-9
-    ]
-    return max(heights, default=None)
 
 
 def _lowest(model: mujoco.MjModel, feet: Sequence[int], qpos: np.ndarray) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gctd3.errors import check_between
+from gctd3.robots.loops import close_loops
 from gctd3.robots.robot import Robot
 from gctd3.tasks.terms import Randomisation
 
@@ -30,8 +31,11 @@ class JointNoise(Randomisation):
     def __call__(
         self, rng: np.random.Generator | np.random.RandomState, robot: Robot, qpos: np.ndarray, qvel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return pose and velocities with noise on the joints, drawn for the angles first, then for the velocities."""
+        """Return pose and velocities with noise on the joints, drawn for the angles first, then for the velocities.
+
+        Closed loops stay closed: joints that nothing drives follow the others.
+        """
         qpos, qvel, count = qpos.copy(), qvel.copy(), len(robot.joints)
         qpos[[joint.qpos for joint in robot.joints]] += rng.uniform(-self.angle, self.angle, count)
         qvel[[joint.qvel for joint in robot.joints]] += rng.uniform(-self.velocity, self.velocity, count)
-        return qpos, qvel
+        return close_loops(robot.model, qpos, qvel, robot.inner_joints)

@@ -19,17 +19,17 @@ def seen(monkeypatch):
         found.append(f"read {settings.name}")
         return read(settings)
 
-    def compiled(path, *rest):
+    def compiled(spec):
         found.append("compile")
-        return from_path(path, *rest)
+        return from_spec(spec)
 
     def build(cls, *arguments, **named):
         found.append("graph")
         return FROM_ROBOT(cls, *arguments, **named)
 
-    read, from_path = load_module.find_source, mujoco.MjModel.from_xml_path
+    read, from_spec = load_module.find_source, mujoco.MjSpec.compile
     monkeypatch.setattr(load_module, "find_source", find)
-    monkeypatch.setattr(mujoco.MjModel, "from_xml_path", staticmethod(compiled))
+    monkeypatch.setattr(mujoco.MjSpec, "compile", compiled)
     monkeypatch.setattr(KinematicGraph, "from_robot", classmethod(build))
     return found
 
