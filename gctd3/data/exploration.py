@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.data.settings import ExplorationSettings
+from gctd3.data.stepping import Stepping
 from gctd3.robots.robot import Robot
 
 
@@ -129,8 +130,8 @@ class Rhythm(torch.nn.Module):
 class Explorer(TensorDictModuleBase):
     """Act as the collecting policy: warm-up first, then the actor with noise.
 
-    It reads what the actor reads and ``"is_init"``, and ``"position"`` if ``settings.mutation_share`` is above 0; it
-    writes ``"action"`` ``[robots, A]``.
+    It reads what the actor reads and ``"is_init"``, and ``"position"`` if gaits evolve in the warm-up; it writes
+    ``"action"`` ``[robots, A]``.
 
     Args:
         actor: The policy under training.
@@ -162,15 +163,18 @@ class Explorer(TensorDictModuleBase):
         super().__init__()
         self.num_robots = num_robots
         robots = len(range(num_robots)[part])
-        self.in_keys = [*actor.in_keys, "is_init", *(["position"] if settings.mutation_share else [])]
+        stepping = settings.warmup == "stepping"
+        self._places = stepping or settings.mutation_share > 0
+        self.in_keys = [*actor.in_keys, "is_init", *(["position"] if self._places else [])]
         self.out_keys = ["action"]
         self.actor = actor
         self.settings = settings
         settings.check_robot(robot, control_dt)
-        rhythmic = settings.warmup == "rhythmic"
-        self.rhythm = (
-            Rhythm(robot, robots, settings.frequency, control_dt, settings.mutation_share) if rhythmic else None
-        )
+        self.rhythm: Rhythm | Stepping | None = None
+        if settings.warmup == "rhythmic":
+            self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, settings.mutation_share)
+        elif stepping:
+            self.rhythm = Stepping(robot, robots, settings.gait_time, control_dt, settings.mutation_share)
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
@@ -213,7 +217,7 @@ class Explorer(TensorDictModuleBase):
 
     def _warmup(self, tensordict: TensorDictBase) -> Tensor:
         if self.rhythm is not None:
-            position = tensordict.get("position").reshape(-1) if self.settings.mutation_share else None
+            position = tensordict.get("position").reshape(-1) if self._places else None
             return self.rhythm(tensordict.get("is_init").reshape(-1), position)
         if (int(self.frames) // self.num_robots) % self.settings.hold == 0:
             self.held.uniform_(-1.0, 1.0)

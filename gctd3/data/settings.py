@@ -23,12 +23,14 @@ class ExplorationSettings:
 
     Attributes:
         warmup: ``rhythmic``: a sine for every joint, left and right half a period apart (:class:`.Rhythm`);
-            ``uniform``: random actions, each held for a while.
+            ``stepping``: feet that step to and fro, at sizes by the legs' length (:class:`.Stepping`); ``uniform``:
+            random actions, each held for a while.
         learning_starts: Frames of all robots together before the policy acts.
         hold: Control steps for which warmup=uniform holds an action.
         frequency: Lowest and highest frequency of warmup=rhythmic (Hz).
-        mutation_share: Share of warmup=rhythmic's gaits that are mutations of those that got farthest before; the rest
-            are drawn anew.
+        mutation_share: Share of the gaits of warmup=rhythmic and warmup=stepping that are mutations of those that got
+            farthest before; the rest are drawn anew.
+        gait_time: Time for which warmup=stepping tries a gait (s).
         noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions (half a joint's
             range), spread geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for
             a policy that is random by itself.
@@ -36,11 +38,12 @@ class ExplorationSettings:
             (arXiv:1509.02971) of the same standard deviation; 0 for white noise, as on the others.
     """
 
-    warmup: Literal["rhythmic", "uniform"] = "rhythmic"
+    warmup: Literal["rhythmic", "stepping", "uniform"] = "rhythmic"
     learning_starts: int = 10_000
     hold: int = 5
     frequency: Sequence[float] = (1.2, 2.4)
     mutation_share: float = 0.0
+    gait_time: float = 2.0
     noise: Sequence[float] | None = (0.05, 0.5)
     noise_time: float = 0.0
 
@@ -51,6 +54,8 @@ class ExplorationSettings:
             raise ConfigError(f"hold must be at least 1, got {self.hold}.")
         if len(self.frequency) != 2 or not 0 < self.frequency[0] <= self.frequency[1]:
             raise ConfigError(f"frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
+        if not self.gait_time > 0:
+            raise ConfigError(f"gait_time must be above 0 s, got {self.gait_time}.")
         if not 0.0 <= self.mutation_share <= 1.0:
             raise ConfigError(f"mutation_share must be between 0 and 1, got {self.mutation_share}.")
         # Actions are clipped to [-1, 1]: noise beyond that is no longer noise on an action.
@@ -66,6 +71,8 @@ class ExplorationSettings:
             robot: The robot.
             control_dt: Control period (s).
         """
+        if self.warmup == "stepping" and not robot.hips:
+            raise ConfigError("exploration.warmup must not be stepping: the robot has no leg.")
         if self.warmup != "rhythmic":
             return
         if self.frequency[1] > 0.5 / control_dt:

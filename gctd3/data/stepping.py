@@ -1,0 +1,199 @@
+"""Open-loop gaits whose feet step: they evolve during the warm-up, and training starts from their transitions."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from gctd3.errors import ConfigError
+from gctd3.robots.robot import Robot
+
+GRAVITY = 9.81  # m/s^2
+
+
+class Stepping(torch.nn.Module):
+    """Generate open-loop gaits in which every foot moves to and fro and is lifted on its way forwards.
+
+    The path of a foot about its place in the standing pose becomes joint angles by the pseudo-inverse of its leg's
+    Jacobian. Left and right feet step half a period apart; the phases of the pairs, frequency, length and height of
+    the steps, a shift of each pair of feet, a crouch and a sway are drawn, and evolve: each robot tries a gait for a
+    while, remembers its best one, and most new gaits are mutations of what a few robots remember. The fitness of a gait
+    is the distance that it covers while it is tried, less a penalty if the robot falls. Lengths are in leg lengths and
+    frequencies in those of a pendulum as long as the leg, so that the same numbers serve robots of all sizes.
+
+    Args:
+        robot: The robot.
+        num_robots: Number of robots.
+        trial: Time for which a gait is tried (s).
+        control_dt: Control period (s).
+        mutation_share: Share of new gaits that descend from others.
+
+    Raises:
+        ConfigError: If no foot has a driven joint of its own.
+    """
+
+    frequency: Tensor
+    pair_of: Tensor
+    lagging: Tensor
+    joints: Tensor
+    fitness: Tensor
+    cycles: Tensor
+    start: Tensor
+    last: Tensor
+    age: Tensor
+
+    # Lowest and highest value of each gene, and whether each pair of feet has its own.
+    GENES: dict[str, tuple[float, float, bool]] = {  # noqa: RUF012 - a constant
+        "frequency": (1.0, 3.2, False),  # of a pendulum as long as the leg
+        "stride": (0.05, 0.45, False),  # half of a foot's way to and fro, leg lengths
+        "lift": (0.05, 0.4, False),  # leg lengths
+        "lag": (-0.1, 0.1, False),  # of the lift, periods
+        "crouch": (0.0, 0.15, False),  # leg lengths
+        "sway": (-0.1, 0.1, False),  # of the body to the side, leg lengths
+        "sway_phase": (0.0, 1.0, False),  # periods
+        "shift": (-0.15, 0.15, True),  # of a pair of feet forwards, leg lengths
+        "phase": (0.0, 1.0, True),  # of a pair of feet, periods
+    }
+    CYCLIC = ("phase", "sway_phase")
+    MUTATION = 0.08  # standard deviation, of a gene's range
+    RIVALS = 4  # robots of whom the fittest one is the parent
+    FALL = 0.5  # leg lengths by which a fall lowers the fitness, for each second of a trial
+    FORGET = 0.02  # of a remembered fitness that is lost with each trial, so that luck does not stay
+    NOISE = 0.1  # standard deviation of what is added to the actions
+    DAMPING = 0.05  # of the pseudo-inverse, leg lengths
+
+    def __init__(
+        self, robot: Robot, num_robots: int, trial: float, control_dt: float, mutation_share: float = 0.8
+    ) -> None:
+        super().__init__()
+        self._length = robot.leg_length
+        self._dt, self._share = control_dt, mutation_share
+        self._steps = max(round(trial / control_dt), 1)
+        self._penalty = self.FALL * self._length * trial
+        self._pendulum = math.sqrt(GRAVITY / self._length) / (2 * math.pi)
+        group, lag = _groups(robot)
+        self.register_buffer("pair_of", group, persistent=False)
+        self.register_buffer("lagging", lag, persistent=False)
+        self.register_buffer("joints", _joint_paths(robot, self.DAMPING * self._length), persistent=False)
+        self.groups = int(group.max()) + 1
+        for name, values in self._draw(num_robots).items():
+            self.register_buffer(name, values)
+            self.register_buffer(f"best_{name}", values.clone())
+        self.register_buffer("fitness", torch.full((num_robots,), -math.inf))
+        self.register_buffer("cycles", torch.zeros(num_robots))
+        self.register_buffer("start", torch.zeros(num_robots))
+        self.register_buffer("last", torch.zeros(num_robots))
+        # No trial has begun.
+        self.register_buffer("age", torch.full((num_robots,), -1, dtype=torch.int64))
+
+    def _draw(self, count: int) -> dict[str, Tensor]:
+        drawn = {}
+        for name, (low, high, paired) in self.GENES.items():
+            shape = (count, self.groups) if paired else (count,)
+            drawn[name] = low + (high - low) * torch.rand(shape)
+        return drawn
+
+    def _children(self, count: int) -> dict[str, Tensor]:
+        """Draw mutations of the fittest gaits among a few that robots remember, one for each robot."""
+        rivals = torch.randint(count, (count, self.RIVALS))
+        parent = rivals.gather(1, self.fitness[rivals].argmax(dim=1, keepdim=True))[:, 0]
+        descends = (torch.rand(count) < self._share) & self.fitness[parent].isfinite()
+        children = self._draw(count)
+        for name, (low, high, paired) in self.GENES.items():
+            values = getattr(self, f"best_{name}")[parent]
+            values = values + self.MUTATION * (high - low) * torch.randn_like(values)
+            values = values % 1.0 if name in self.CYCLIC else values.clamp(low, high)
+            children[name] = torch.where(descends[:, None] if paired else descends, values, children[name])
+        return children
+
+    def _end(self, ended: Tensor, fell: Tensor) -> None:
+        """Remember the gaits of the trials that have ended if they are fitter, and begin new ones."""
+        tried = ended & (self.age > 0)
+        fitness = self.last - self.start - self._penalty * fell
+        self.fitness.copy_(torch.where(tried, self.fitness - self.FORGET * self.fitness.abs(), self.fitness))
+        fitter = tried & (fitness > self.fitness.nan_to_num(-math.inf))
+        self.fitness.copy_(torch.where(fitter, fitness, self.fitness.nan_to_num(-math.inf)))
+        children = self._children(len(ended))
+        for name, (_, _, paired) in self.GENES.items():
+            best, now = getattr(self, f"best_{name}"), getattr(self, name)
+            best.copy_(torch.where(fitter[:, None] if paired else fitter, now, best))
+            now.copy_(torch.where(ended[:, None] if paired else ended, children[name], now))
+
+    def forward(self, is_init: Tensor, position: Tensor) -> Tensor:
+        """Return the actions ``[robots, A]`` of the next step.
+
+        Args:
+            is_init: Robots whose episode begins, bool ``[robots]``.
+            position: Distance walked, ``[robots]`` (m).
+        """
+        ended = is_init | (self.age >= self._steps) | (self.age < 0)
+        if ended.any():
+            self.last.copy_(torch.where(is_init, self.last, position))
+            self._end(ended, is_init)
+            self.start.copy_(torch.where(ended, position, self.start))
+            self.age.copy_(torch.where(ended, 0, self.age))
+            self.cycles.copy_(torch.where(is_init, 0.0, self.cycles))
+        self.last.copy_(position)
+        self.age += 1
+        self.cycles += self._dt * self._pendulum * self.frequency
+        action = self._act({name: getattr(self, name) for name in self.GENES}, self.cycles)
+        return (action + self.NOISE * torch.randn_like(action)).clamp(-1.0, 1.0)
+
+    def _act(self, genes: dict[str, Tensor], cycles: Tensor) -> Tensor:
+        turn = 2 * math.pi
+        phase = cycles[:, None] + genes["phase"][:, self.pair_of] + self.lagging
+        forward = genes["shift"][:, self.pair_of] - genes["stride"][:, None] * torch.cos(turn * phase)
+        lift = torch.sin(turn * (phase + genes["lag"][:, None])).clamp(min=0.0)
+        up = genes["crouch"][:, None] + genes["lift"][:, None] * lift
+        sway = genes["sway"] * torch.sin(turn * (cycles + genes["sway_phase"]))
+        side = sway[:, None].expand_as(up)
+        return torch.einsum("nfd,fda->na", self._length * torch.stack([forward, side, up], dim=-1), self.joints)
+
+    def gait(self, steps: int) -> Tensor:
+        """Return the actions of the fittest gait in the first ``steps`` control steps of an episode, ``[steps, A]``."""
+        best = int(self.fitness.argmax())
+        genes = {
+            name: getattr(self, f"best_{name}")[best].expand(steps, *getattr(self, name).shape[1:])
+            for name in self.GENES
+        }
+        cycles = torch.arange(1, steps + 1) * self._dt * self._pendulum * genes["frequency"]
+        return self._act(genes, cycles).clamp(-1.0, 1.0)
+
+
+def _groups(robot: Robot) -> tuple[Tensor, Tensor]:
+    """Return the number of each foot's pair, and the phase by which the second foot of a pair lags, each ``[feet]``."""
+    group, lag, count = [-1] * len(robot.feet), [0.0] * len(robot.feet), 0
+    for foot, other in enumerate(robot.mirror_feet):
+        if group[foot] < 0:
+            group[foot] = group[other] = count
+            lag[other] = 0.5 if other != foot else 0.0
+            count += 1
+    return torch.tensor(group), torch.tensor(lag)
+
+
+def _joint_paths(robot: Robot, damping: float) -> Tensor:
+    """Return the actions by which each foot moves forwards, to the side and up: ``[feet, 3, A]`` (1/m)."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    data.qpos[:] = robot.standing_qpos
+    mujoco.mj_forward(model, data)
+    scale = robot.action_map[1]
+    paths = np.zeros((len(robot.feet), 3, len(robot.actuated)))
+    for i, (foot, leg) in enumerate(zip(robot.feet, robot.legs, strict=True)):
+        shared = {joint.name for k, other in enumerate(robot.legs) if k != i for joint in other}
+        own = [joint for joint in leg if joint.name not in shared and joint.name in robot.actuated]
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jac(model, data, jacobian, None, robot.foot_place(data, foot), model.body(foot).id)
+        moved = robot.base.frame @ jacobian[:, [joint.qvel for joint in own]]
+        # Damped least squares (Nakamura & Hanafusa 1986): a straight leg asks for no endless angles.
+        inverse = moved.T @ np.linalg.inv(moved @ moved.T + damping**2 * np.eye(3))
+        columns = [robot.actuated.index(joint.name) for joint in own]
+        paths[i][:, columns] = inverse.T / scale[columns]
+    if not paths.any():
+        raise ConfigError(
+            "exploration.warmup must not be stepping: no foot of the robot has a driven joint of its own."
+        )
+    return torch.from_numpy(paths).float()
