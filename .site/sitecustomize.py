@@ -1,5 +1,5 @@
 import importlib.util, sys
-R="/tmp/w/r_completion"
+R="/tmp/w/robots"
 class Finder:
     @staticmethod
     def find_spec(name, path=None, target=None):
