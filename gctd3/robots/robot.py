@@ -510,7 +510,8 @@ class Robot:
         for joint in self.joints:
             if joint.kind != "hinge":
                 raise RobotError(
-                    f"{file}: joint {joint.name!r} of body {joint.body!r} must be a hinge, is a {joint.kind}."
+                    f"{file}: joint {joint.name!r} of body {joint.body!r} must be a hinge, is a {joint.kind}; "
+                    "robot.hold can fix it."
                 )
         check_servos(model, self.joints, file)
         self.check_legs()

@@ -21,7 +21,7 @@ from gctd3.robots.settings import ServoSettings
 FREQUENCY = 2 * np.pi * 10.0  # rad/s
 DAMPING_RATIO = 2.0
 MOST_SAG = 0.1  # rad: the most by which a joint may give way under the standing robot
-FULL_EFFORT = (0.3, 1.0)  # rad: an error between these two asks for all of the torque
+FULL_EFFORT = (0.6, 1.5)  # rad: an error between these two asks for all of the torque
 _TRANSMISSIONS = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
 
 
@@ -254,7 +254,8 @@ def _joint_actuators(model: mujoco.MjModel) -> list[int]:
 class _Gains:
     """Derive stiffnesses for which the torque suffices and the joints hardly give way under the robot.
 
-    Joints of one kind, such as the knees, get equal ones: as many joints above them, axes alike, equal rotors.
+    Joints of one kind, such as the knees, get equal ones: as many joints above them and axes alike. Rotors that were
+    identified one by one differ; their median counts.
 
     Args:
         model: The model.
@@ -281,8 +282,7 @@ class _Gains:
         depth, body = joint - int(self.model.body_jntadr[self.model.jnt_bodyid[joint]]), self.model.jnt_bodyid[joint]
         while body := int(self.model.body_parentid[body]):
             depth += int(self.model.body_jntnum[body])
-        rotor = float(self.model.dof_armature[int(self.model.jnt_dofadr[joint])])
-        return depth, tuple(np.abs(axis).round(1).tolist()), round(rotor, 6)
+        return depth, tuple(np.abs(axis).round(1).tolist())
 
     def stiffness(self, joint: int, effort: float, rotor: float | None) -> float:
         """Return the stiffness of a joint's servo (N m/rad).
@@ -293,7 +293,7 @@ class _Gains:
             rotor: Inertia of its rotor (kg m^2); the file's if ``None``.
         """
         alike = [int(self.model.jnt_dofadr[j]) for j, kind in self._kinds.items() if kind == self._kinds[joint]]
-        armature = rotor if rotor is not None else float(self.model.dof_armature[int(self.model.jnt_dofadr[joint])])
+        armature = rotor if rotor is not None else float(np.median(self.model.dof_armature[alike]))
         inertia = armature if armature > 0 else float(self.inertia[alike].max())
         least = float(self.load[alike].max()) / MOST_SAG
         # What is idle while the robot stands upright has its share as soon as it does not.

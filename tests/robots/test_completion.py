@@ -328,12 +328,12 @@ def test_motors_become_servos_with_the_torque_of_the_motors():
     np.testing.assert_array_equal(model.actuator_gear[:, 0], 1)
     np.testing.assert_allclose(model.actuator_ctrlrange, model.jnt_range[1:])
     # Stiff enough for the torque to be used, soft enough not to be at its limit at once.
-    assert ((30 / model.actuator_gainprm[:, 0] >= 0.3) & (30 / model.actuator_gainprm[:, 0] <= 1.0)).all()
+    assert ((30 / model.actuator_gainprm[:, 0] >= 0.59) & (30 / model.actuator_gainprm[:, 0] <= 1.51)).all()
     np.testing.assert_array_equal(model.actuator_gainprm[::2], model.actuator_gainprm[[0, 0]])
 
 
 def test_gains_follow_from_the_rotor(tmp_path):
-    path = dog(tmp_path, '<motor joint="{n}" ctrlrange="-20 20"/>')
+    path = dog(tmp_path, '<motor joint="{n}" ctrlrange="-40 40"/>')
     path.write_text(path.read_text().replace('axis="0 1 0"', 'axis="0 1 0" armature="0.01"'))
     model = RobotSettings(name=str(path)).load().model
     # 10 Hz and a damping ratio of 2: 0.01 (20 pi)^2 and 4 * 0.01 * 20 pi.
