@@ -8,7 +8,7 @@ import statistics
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gctd3.runs.judge import PAPER
+from gctd3.runs.evaluate import PAPER
 
 RETURN = PAPER["return_mean"]
 BASE = "gctd3"  # the others' times are divided by its

@@ -348,7 +348,7 @@ class Tree:
         named = re.findall(r"^(?:FAILED|ERROR) ([^\s\[]+(?:\[.*?\])?)(?: - .*)?$", out, flags=re.M)
         return "killed", named[0] if named else out.strip().splitlines()[-1][:200]
 
-    def judge(self, file: str, site: Site, full: bool, timeout: float) -> dict[str, Any]:
+    def evaluate(self, file: str, site: Site, full: bool, timeout: float) -> dict[str, Any]:
         """What the tests make of one mutant."""
         target = self.copy / file
         source = target.read_text(encoding="utf-8")
@@ -421,10 +421,10 @@ def table(content: dict[str, Any]) -> str:
     for group in [*dict.fromkeys(mutant["group"] for mutant in mutants), "all"]:
         cells = []
         for name in names:
-            judged = [
+            evaluated = [
                 m["results"][name]["outcome"] for m in mutants if group in (m["group"], "all") and name in m["results"]
             ]
-            cells.append(f"{sum(outcome in DETECTED for outcome in judged)} of {len(judged)}")
+            cells.append(f"{sum(outcome in DETECTED for outcome in evaluated)} of {len(evaluated)}")
         lines.append(f"{group:<12}" + "  ".join(f"{cell:>{max(width, 12)}}" for cell in cells))
     for mutant in mutants:
         found = {name: result["outcome"] in DETECTED for name, result in mutant["results"].items()}
@@ -435,7 +435,7 @@ def table(content: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Draw, judge what is not judged yet, and print the table."""
+    """Draw, evaluate what is not evaluated yet, and print the table."""
     given = options(
         out="",
         n="100",
@@ -446,7 +446,7 @@ def main() -> None:
         timeout="600",
     )
     if not given["out"]:
-        raise SystemExit("out=FILE.json is required: it holds what has been judged")
+        raise SystemExit("out=FILE.json is required: it holds what has been evaluated")
     unknown = [name for name in given["only"].split(",") if name not in GROUPS]
     if unknown:
         raise SystemExit(f"no group {', '.join(unknown)}; there are {', '.join(GROUPS)}")
@@ -473,7 +473,7 @@ def main() -> None:
                     raise SystemExit(
                         f"{tree.root / file} has changed since the mutants were drawn: choose another out="
                     )
-                result = tree.judge(file, site, full, float(given["timeout"]))
+                result = tree.evaluate(file, site, full, float(given["timeout"]))
                 mutant["results"][tree.name] = result
                 write_text(out, json.dumps(content, indent=1) + "\n")
                 print(

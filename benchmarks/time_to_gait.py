@@ -4,7 +4,7 @@
     python benchmarks/time_to_gait.py contenders=gctd3,sb3 cap=20 every=20000
 
 Walking is an evaluation in which each of 5 episodes reaches the finish, with the paper's mean return or more, under
-``reward=paper``. Everybody trains for the same reward, is judged every ``every`` steps by the same function from the
+``reward=paper``. Everybody trains for the same reward, is evaluated every ``every`` steps by the same function from the
 same starts, and has ``cap`` minutes on the CPU. Each training is a process of its own; the clock runs from its start,
 imports and compilation included, until that evaluation has been written down. ``gctd3`` and ``td3`` are
 ``python -m gctd3.train algo=...``; what the others are, ``benchmarks/peers.py`` says. Runs that do not get there count

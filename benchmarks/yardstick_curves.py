@@ -107,7 +107,7 @@ class Comparison:
         task: The task.
         algo: The algorithm.
         seeds: Of each side.
-        frames: Steps at which every run was judged.
+        frames: Steps at which every run was evaluated.
         curves: Of each side, a mean for each of ``frames``.
         average: Difference, ours minus theirs, of the return averaged over ``frames``.
         overlap: Whether the curves' intervals overlap at each of ``frames``; ``None`` if a side has but one seed.
@@ -123,7 +123,7 @@ class Comparison:
 
 
 def compare(runs: Sequence[Run], task: str, algo: str) -> Comparison | None:
-    """``None`` unless there are runs of both sides that were judged at a common moment."""
+    """``None`` unless there are runs of both sides that were evaluated at a common moment."""
     mine = {side: [r for r in runs if (r.task, r.algo, r.side) == (task, algo, side)] for side in SIDES}
     moments = [{int(row["frames"]) for row in run.curve} for side in SIDES for run in mine[side]]
     frames = sorted(set.intersection(*moments)) if moments else []

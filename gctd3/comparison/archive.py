@@ -10,7 +10,7 @@ from gctd3.comparison.groups import typical, with_trace
 from gctd3.comparison.runs import READ, Run
 from gctd3.errors import RunError
 from gctd3.files import new_directory
-from gctd3.runs.judge import TRACE
+from gctd3.runs.evaluate import TRACE
 from gctd3.training.saved_configuration import CONFIG
 
 FOLDER = "runs"

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from gctd3.comparison.runs import Run
 from gctd3.errors import RunError
-from gctd3.evaluation.settings import Judging
-from gctd3.runs.judge import EVALUATION, ROBUSTNESS
+from gctd3.evaluation.settings import EpisodeSettings
+from gctd3.runs.evaluate import EVALUATION, ROBUSTNESS
 from gctd3.training.checkpoint import FOLDER
 
 # Keys that must be equal for numbers to be comparable, by the name of what they set.
@@ -40,7 +40,7 @@ def check_together(runs: Sequence[Run]) -> None:
             problems += [f"  {what}, {key}: {_spread(by_value.values(), key)}" for key in differing]
     rewards = {json.dumps(r.evaluation["reward"], sort_keys=True) for r in runs if r.evaluation and _reward(r)}
     if len(rewards) > 1:
-        problems.append(f"  the reward under which {EVALUATION} judges; evaluate them again under one")
+        problems.append(f"  the reward of {EVALUATION}; evaluate them again under one")
     tried = {json.dumps(run.robustness["perturbations"], sort_keys=True) for run in runs if run.robustness}
     if len(tried) > 1:
         problems.append(f"  what {ROBUSTNESS} tried; examine them again with the same perturbations")
@@ -59,45 +59,45 @@ def _spread(sets: Iterable[list[Run]], key: str) -> str:
     return "; ".join(f"{value} in {', '.join(names[:3])}{', ...' * (len(names) > 3)}" for value, names in found.items())
 
 
-def check_judging(runs: Sequence[Run], judging: Judging) -> None:
+def check_episodes(runs: Sequence[Run], settings: EpisodeSettings) -> None:
     """Refuse runs that were, or would be, evaluated over other episodes than most of them.
 
     Args:
         runs: The runs.
-        judging: Settings for the runs that have no evaluation yet.
+        settings: Settings for the runs that have no evaluation yet.
 
     Raises:
-        RunError: If there are such; it says which, and what judges them alike.
+        RunError: If there are such; it says which, and how to evaluate them alike.
     """
-    by_judging: dict[Episodes, list[Run]] = {}
+    by_episodes: dict[Episodes, list[Run]] = {}
     for run in runs:
         if run.evaluation is not None:
-            by_judging.setdefault(_judging(run.evaluation), []).append(run)
+            by_episodes.setdefault(_episodes_of(run.evaluation), []).append(run)
     new = [run for run in runs if run.evaluation is None and any((run.directory / FOLDER).glob("best-*"))]
-    if len(by_judging) + bool(new) < 2:
+    if len(by_episodes) + bool(new) < 2:
         return
-    asked = judging.episodes, judging.seed
-    most = max(by_judging, key=lambda how: (None not in how, len(by_judging[how]), how[0] or 0))
+    asked = settings.episodes, settings.seed
+    most = max(by_episodes, key=lambda how: (None not in how, len(by_episodes[how]), how[0] or 0))
     wanted = asked if None in most else most
-    others = [run for how, members in by_judging.items() if how != wanted for run in members]
+    others = [run for how, members in by_episodes.items() if how != wanted for run in members]
     unlike = bool(new) and asked != wanted
     if not others and not unlike:
         return
-    lines = [f"  {_said(*how)}: {', '.join(run.name for run in members)}" for how, members in by_judging.items()]
+    lines = [f"  {_said(*how)}: {', '.join(run.name for run in members)}" for how, members in by_episodes.items()]
     if new:
         names = ", ".join(run.name for run in new)
-        lines.append(f"  not yet judged, now to be over {_said(*asked)}: {names}")
+        lines.append(f"  not yet evaluated, now to be over {_said(*asked)}: {names}")
     chosen = f"episodes={wanted[0]} seed={wanted[1]}"
     remedies = [f"  python -m gctd3.evaluate run={run.directory} {chosen}" for run in others]
     if unlike:
         remedies.append(f"  the report's own command with {chosen}")
     raise RunError(
-        "These runs were not judged over the same episodes, so their numbers cannot be compared:\n"
-        + "\n".join([*lines, "What judges them alike:", *remedies])
+        "These runs were not evaluated over the same episodes, so their numbers cannot be compared:\n"
+        + "\n".join([*lines, "To evaluate them alike:", *remedies])
     )
 
 
-def _judging(evaluation: Mapping[str, object]) -> Episodes:
+def _episodes_of(evaluation: Mapping[str, object]) -> Episodes:
     seeds = evaluation.get("seeds")
     found = evaluation.get("episodes"), seeds.get("evaluation") if isinstance(seeds, Mapping) else None
     episodes, seed = (value if isinstance(value, int) else None for value in found)

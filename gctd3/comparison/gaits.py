@@ -42,7 +42,7 @@ GAIT = (
         "of the touchdown map, from below; under 1 is stable",
     ),
     ("strides", "strides used", "", 0, "of all feet and episodes; the first two of each foot are never used"),
-    ("periodic_fraction", "periodic", "", 2, "share of episodes whose strides could be judged"),
+    ("periodic_fraction", "periodic", "", 2, "share of episodes whose strides could be evaluated"),
 )
 ASYMMETRY = "asymmetry_"
 
@@ -53,7 +53,7 @@ def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
     meaning = "RMS against its mirror image half a stride later; 0 is symmetric"
     joints = [(key, f"asymmetry, {key.removeprefix(ASYMMETRY).replace('_', ' ')}", "rad", 3, meaning) for key in keys]
     counts = [f"{sum(bool(run.gait) for run in runs)} of {len(runs)}" for runs in groups.values()]
-    judged = ["seeds judged here", "", *counts, "those of whose episodes any got 10 m far"]
+    evaluated = ["seeds evaluated here", "", *counts, "those of whose episodes any got 10 m far"]
     rows = []
     for key, name, unit, digits, meaning in (*GAIT, *joints):
         cells = [_gait_cell(runs, key, digits) for runs in groups.values()]
@@ -65,7 +65,7 @@ def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
         "Over the last 10 m of the episodes that got that far: mean over seeds (lowest to highest). What only strides "
         "have is given of seeds at least half of whose episodes have them.",
         ("", UNIT, *groups, MEANING),
-        [judged, *rows] if rows else [],
+        [evaluated, *rows] if rows else [],
     )
 
 

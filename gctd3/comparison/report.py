@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import gctd3
 from gctd3.comparison.archive import check_keep, keep
-from gctd3.comparison.comparability import check_judging, check_seeds, check_together
+from gctd3.comparison.comparability import check_episodes, check_seeds, check_together
 from gctd3.comparison.groups import groups_of, typical, with_trace
 from gctd3.comparison.output_directory import FIGURES, PAGE, TABLES, VERDICT, check_place, in_place
 from gctd3.comparison.runs import Run, evaluated, find_runs, lost_runs
@@ -19,7 +19,7 @@ from gctd3.errors import ConfigError, RenderError, RunError
 from gctd3.evaluation.episode import LAST_METRES
 from gctd3.files import write_text
 from gctd3.robots.robot import Robot
-from gctd3.runs.judge import TRACE
+from gctd3.runs.evaluate import TRACE
 
 if TYPE_CHECKING:
     from gctd3.comparison.figures import Gallery, Picture
@@ -47,7 +47,7 @@ def report(settings: ReportSettings) -> Path:
     runs, lost = find_runs(root), lost_runs(root)
     check_together(runs)
     check_seeds(groups_of(runs))
-    check_judging(runs, settings)
+    check_episodes(runs, settings)
     runs = evaluated(runs, settings)
     # Once more, now that the new evaluations have a reward too.
     check_together(runs)
@@ -203,11 +203,11 @@ def _robustness(groups: Mapping[str, Sequence[Run]], gallery: Gallery) -> list[o
     figure = robustness_plot.conditions_figure(examined)
     caption = "The mean over seeds; a stroke for each seed."
     found.append(gallery.add(figure, "conditions", "Success under other conditions", caption))
-    shoves = robustness_plot.shoves_figure(examined)
-    if shoves is not None:
+    pushes = robustness_plot.pushes_figure(examined)
+    if pushes is not None:
         caption = (
             "The largest impulse on the body up to which all starts survive; the mean over seeds. Solid "
             "forward, dashed backward."
         )
-        found.append(gallery.add(shoves, "shoves", "Shoves survived over the stride", caption))
+        found.append(gallery.add(pushes, "pushes", "Pushes survived over the stride", caption))
     return found

@@ -14,9 +14,9 @@ import numpy as np
 from tqdm import tqdm
 
 from gctd3.errors import GCTD3Error, RunError
-from gctd3.evaluation.settings import Judging
+from gctd3.evaluation.settings import EpisodeSettings
 from gctd3.files import MANIFEST, read_manifest
-from gctd3.runs.judge import EVALUATION, ROBUSTNESS, TRACE, evaluate_run
+from gctd3.runs.evaluate import EVALUATION, ROBUSTNESS, TRACE, evaluate_run
 from gctd3.runs.settings import EvaluateSettings
 from gctd3.training.run_log import PROGRESS
 from gctd3.training.saved_configuration import CONFIG, OVERRIDES, command_line, flat, load_config, load_settings
@@ -151,7 +151,7 @@ def read_run(directory: Path, root: Path) -> Run:
     overrides = dict(item.split("=", 1) for item in items if "=" in item)
     rows = _progress(directory / PROGRESS)
     run = Run(directory, _name(directory, root), config, overrides.get("algo", "gctd3"), rows)
-    return judged(replace(run, overrides=overrides, trouble=_trouble(run)))
+    return with_results(replace(run, overrides=overrides, trouble=_trouble(run)))
 
 
 def _trouble(run: Run) -> str | None:
@@ -181,7 +181,7 @@ def _reached(run: Run) -> bool:
     return bool(late) and len(late) == wanted and all(map(run.rule.all_reached, late))
 
 
-def judged(run: Run) -> Run:
+def with_results(run: Run) -> Run:
     """Return the run with its evaluation, trace and robustness, if it has them.
 
     Raises:
@@ -206,30 +206,30 @@ def _robustness(file: Path) -> Mapping[str, Any] | None:
         return None
     try:
         found: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        if not {"conditions", "shoves", "perturbations"} <= set(found):
-            raise ValueError("it lacks conditions, shoves or perturbations")
+        if not {"conditions", "pushes", "perturbations"} <= set(found):
+            raise ValueError("it lacks conditions, pushes or perturbations")
     except (ValueError, TypeError) as error:
         raise RunError(f"{file} cannot be read: {error}; delete it, or examine the run again.") from error
     return found
 
 
-def evaluated(runs: Sequence[Run], judging: Judging) -> list[Run]:
+def evaluated(runs: Sequence[Run], settings: EpisodeSettings) -> list[Run]:
     """Evaluate the runs that have no evaluation, and return all; a run that cannot be evaluated holds the reason."""
     missing = [run for run in runs if run.evaluation is None]
     done = {}
     for run in tqdm(missing, desc="evaluating", unit=" run", disable=not missing):
-        done[run.name] = _evaluate(run, judging)
+        done[run.name] = _evaluate(run, settings)
     return [done.get(run.name, run) for run in runs]
 
 
-def _evaluate(run: Run, judging: Judging) -> Run:
+def _evaluate(run: Run, settings: EpisodeSettings) -> Run:
     try:
         reward = load_settings(run.directory).evaluation.reward
-        shared = {item.name: getattr(judging, item.name) for item in fields(Judging)}
+        shared = {item.name: getattr(settings, item.name) for item in fields(EpisodeSettings)}
         evaluate_run(EvaluateSettings(str(run.directory), reward, **shared))
     except GCTD3Error as error:
         return replace(run, failure=str(error).replace(f"{run.directory}/", ""))
-    return judged(run)
+    return with_results(run)
 
 
 def _progress(file: Path) -> list[dict[str, float]]:

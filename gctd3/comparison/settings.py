@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gctd3.evaluation.settings import Judging
+from gctd3.evaluation.settings import EpisodeSettings
 
 
 @dataclass(frozen=True)
-class ReportSettings(Judging):
+class ReportSettings(EpisodeSettings):
     """Set the runs that ``gctd3.report`` compares, how it evaluates them, and where it writes.
 
     Attributes:

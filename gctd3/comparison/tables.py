@@ -93,7 +93,7 @@ def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: b
         "dropped" + (f", {drop:.4f} m above standing." if np.isfinite(drop) else "."),
         (
             "",
-            "seeds judged",
+            "seeds evaluated",
             "return, mean ± sd",
             "return, IQM",
             "body from standing, m",
@@ -160,12 +160,12 @@ def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table
     for direction in DIRECTIONS:
         impulses = [[weakest(one, direction) for one in results] for results in groups.values()]
         cells = [mean_and_range([value for value in values if np.isfinite(value)], 1) for values in impulses]
-        rows.append([f"shove {direction}, worst moment", "N s", *cells])
+        rows.append([f"push {direction}, worst moment", "N s", *cells])
     perturbations = next(iter(groups.values()))[0]["perturbations"]
     return Table(
         "robustness",
         "Robustness",
-        "Mean over seeds (lowest to highest), each by itself, the policy as it was trained. A shove's number is the "
+        "Mean over seeds (lowest to highest), each by itself, the policy as it was trained. A push's number is the "
         "largest impulse that is survived whenever in the stride it comes: the robot goes on for "
         f"{perturbations['recover']:g} s, at all {perturbations['starts']} starts, and with every smaller impulse; "
         f"{perturbations['impulses'][-1]:g} N s is the largest that was tried.",

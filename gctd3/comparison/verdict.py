@@ -175,10 +175,10 @@ def _summary(compared: Sequence[Comparison]) -> list[str]:
 def _outcomes(groups: Mapping[str, Sequence[Run]]) -> list[str]:
     found = []
     for group, runs in groups.items():
-        judged = [run for run in runs if run.evaluation is not None]
-        walked = sum(run.value("success_rate") >= 1.0 for run in judged)
-        lost = len(runs) - len(judged)
-        line = f"{group}: {walked} of {len(runs)} seeds reach the finish in every episode that was judged"
+        evaluated = [run for run in runs if run.evaluation is not None]
+        walked = sum(run.value("success_rate") >= 1.0 for run in evaluated)
+        lost = len(runs) - len(evaluated)
+        line = f"{group}: {walked} of {len(runs)} seeds reach the finish in every episode that was evaluated"
         line += f"; {lost} failed and have no numbers" if lost else ""
         found.append(f"{line}{_cost(runs)}.")
     for group, runs in groups.items():

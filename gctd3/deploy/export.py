@@ -133,7 +133,7 @@ def rehearse(
     seen: list[tuple[Tensor, Tensor]] = []
     hook = policy.register_forward_hook(lambda _, __, out: seen.append((out[NODES].clone(), out[ACTION].clone())))
     robot = task.robot
-    robots = build_env(task, env.judging(settings.episodes, settings.threads), settings.seed)
+    robots = build_env(task, env.for_evaluation(settings.episodes, settings.threads), settings.seed)
     result = evaluate(policy, robots, task, settings.seed)
     hook.remove()
     nodes, actions = (torch.stack(column, dim=1).numpy() for column in zip(*seen, strict=True))

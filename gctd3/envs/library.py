@@ -76,7 +76,7 @@ class LibraryTask:
             )
         return Reflection.from_robot(self.robot)
 
-    def judged_by(self, reward: Reward) -> LibraryTask:
+    def with_reward(self, reward: Reward) -> LibraryTask:
         """Return the task as it is: it brings its own reward."""
         return self
 

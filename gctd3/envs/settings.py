@@ -39,7 +39,7 @@ class EnvSettings:
             raise ConfigError(f"threads must be at least 1, or null for all cores, got {self.threads}.")
         check_between(self, 1, MOST_THREADS, "threads")
 
-    def judging(self, episodes: int, threads: int | None = None) -> EnvSettings:
+    def for_evaluation(self, episodes: int, threads: int | None = None) -> EnvSettings:
         """Return the settings for one evaluation: one robot per episode, all stepped at once where possible."""
         backend = "batched" if self.backend == "dm_control" else self.backend
         return replace(self, backend=backend, num_envs=episodes, threads=threads)

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from gctd3.envs.factory import build_env
 from gctd3.envs.settings import EnvSettings
 from gctd3.evaluation.gait_metrics import SHORTEST_SWING
-from gctd3.evaluation.perturbations import Delayed, Noisy, Policy, Shoved, altered, resting_action, sensor_deviation
+from gctd3.evaluation.perturbations import Delayed, Noisy, Policy, Pushed, altered, resting_action, sensor_deviation
 from gctd3.evaluation.recorder import total_mass
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.settings import Perturbations
@@ -51,13 +51,13 @@ class Examination:
         conditions: dict[str, dict[str, float | int]] = {}
         with tqdm(self._conditions().items(), desc="trying", unit=" condition") as bar:
             for name, (policy, task) in bar:
-                conditions[name] = self._judged(policy, task)
+                conditions[name] = self._summary(policy, task)
         return {
             "perturbations": asdict(self.perturbations),
             "mass_kg": total_mass(self.task.robot),
             "seed": self.seed,
             "conditions": conditions,
-            "shoves": None if stride_time is None else self.shoves(stride_time),
+            "pushes": None if stride_time is None else self.pushes(stride_time),
         }
 
     def _conditions(self) -> dict[str, tuple[Policy, SimulatedTask]]:
@@ -74,10 +74,10 @@ class Examination:
         found["sensor noise"] = Noisy(self.policy, noise, self.seed), task
         return found
 
-    def _judged(self, policy: Policy, task: SimulatedTask) -> dict[str, float | int]:
+    def _summary(self, policy: Policy, task: SimulatedTask) -> dict[str, float | int]:
         return evaluate(policy, build_env(task, self.env, self.seed), task, self.seed).summary()
 
-    def shoves(self, stride_time: float) -> dict[str, Any]:
+    def pushes(self, stride_time: float) -> dict[str, Any]:
         """Push robots with every impulse at every phase in both directions, all in one batch.
 
         ``survived`` is the share of starts, by direction, phase and impulse, ``None`` where no robot got that far;
@@ -88,8 +88,8 @@ class Examination:
         shape = (len(DIRECTIONS), p.phases, len(p.impulses), p.starts)
         direction, phase, impulse, _ = (axis.ravel() for axis in np.indices(shape))
         signs = np.array(list(DIRECTIONS.values()))
-        env = build_env(self.task, self.env.judging(direction.size, self.env.threads), self.seed)
-        shoved = Shoved(
+        env = build_env(self.task, self.env.for_evaluation(direction.size, self.env.threads), self.seed)
+        pushed = Pushed(
             self.policy,
             env.base_env.simulation,
             signs[direction] * np.array(p.impulses)[impulse],
@@ -97,16 +97,16 @@ class Examination:
             p.settle,
             max(1, round(SHORTEST_SWING * period)),
         )
-        episodes = evaluate(shoved, env, self.task, self.seed).episodes
-        lasted = np.array([len(episode.reward) for episode in episodes]) - shoved.shoved_at
+        episodes = evaluate(pushed, env, self.task, self.seed).episodes
+        lasted = np.array([len(episode.reward) for episode in episodes]) - pushed.pushed_at
         stood = (lasted >= p.recover / dt) | np.array([episode.success for episode in episodes])
         # A robot that fell before is simulated further, but its episode is over.
-        known = (shoved.shoved_at >= 0) & (lasted > 0)
+        known = (pushed.pushed_at >= 0) & (lasted > 0)
         stood, known = (stood & known).reshape(shape), known.reshape(shape)
         rates = np.where(known.any(axis=-1), stood.sum(axis=-1) / np.maximum(known.sum(axis=-1), 1), np.nan)
         return {
             "stride_time_s": stride_time,
-            "never_shoved": int((~known).sum()),
+            "never_pushed": int((~known).sum()),
             "survived": dict(zip(DIRECTIONS, _plain(rates), strict=True)),
             "largest": dict(zip(DIRECTIONS, _plain(largest(rates, p.impulses)), strict=True)),
         }
@@ -129,7 +129,7 @@ def largest(rates: np.ndarray, impulses: Sequence[float]) -> np.ndarray:
 
 def weakest(results: Mapping[str, Any], direction: str) -> float:
     """Return the largest impulse (N s) that is survived at every phase; NaN if nobody was pushed at one of them."""
-    found = ((results.get("shoves") or {}).get("largest") or {}).get(direction, ())
+    found = ((results.get("pushes") or {}).get("largest") or {}).get(direction, ())
     return math.nan if not found or None in found else float(min(found))
 
 
@@ -142,21 +142,21 @@ def table(results: Mapping[str, Any]) -> str:
             f"{name:24}{found['success_rate']:>9.2f}{spread:>16}{found['velocity_mean']:>8.3f}"
             f"{found['distance_mean']:>8.2f}"
         )
-    shoves, p = results["shoves"], results["perturbations"]
-    if shoves is None:
-        return "\n".join([*lines, "", "The gait has no strides, so there are no phases at which to shove."])
+    pushes, p = results["pushes"], results["perturbations"]
+    if pushes is None:
+        return "\n".join([*lines, "", "The gait has no strides, so there are no phases at which to push."])
     lines += ["", f"Largest impulse survived by all {p['starts']} starts, N s, {p['settle']:g} m after the start"]
     phases = [f"{phase / p['phases']:.0%}" for phase in range(p["phases"])]
     lines.append(f"{'at this part of a stride':24}" + "".join(f"{phase:>7}" for phase in phases))
-    for direction, values in shoves["largest"].items():
+    for direction, values in pushes["largest"].items():
         lines.append(f"{direction:24}" + "".join(f"{_impulse(value, p['impulses']):>7}" for value in values))
     for direction in DIRECTIONS:
         least = weakest(results, direction)
         if math.isfinite(least):
             said = f"{_impulse(least, p['impulses'])} N s, {least / results['mass_kg']:.2f} m/s of its mass"
             lines.append(f"{direction}, at the worst moment: {said}")
-    if shoves["never_shoved"]:
-        lines.append(f"{shoves['never_shoved']} robots fell before they could be shoved and do not count.")
+    if pushes["never_pushed"]:
+        lines.append(f"{pushes['never_pushed']} robots fell before they could be pushed and do not count.")
     return "\n".join(lines)
 
 

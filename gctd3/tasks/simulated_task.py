@@ -278,7 +278,7 @@ class SimulatedTask:
 
     # Variants of the task.
 
-    def judged_by(self, reward: Reward) -> SimulatedTask:
+    def with_reward(self, reward: Reward) -> SimulatedTask:
         """Return the same task under another reward."""
         return type(self)(self.robot, reward, self.settings, self.graph)
 

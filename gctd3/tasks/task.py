@@ -56,7 +56,7 @@ class Task(Protocol):
             RobotError: If the robot's left and right sides are not symmetric.
         """
 
-    def judged_by(self, reward: Reward) -> Task:
+    def with_reward(self, reward: Reward) -> Task:
         """Return the same task under another reward; a task with a reward of its own is unchanged."""
 
 

@@ -57,8 +57,8 @@ class RunLog:
         """Append a row to ``progress.csv`` and its values to the logger."""
         self.rows.append({name: metrics[name] for name in COLUMNS if name in metrics})
         self._write()
-        judged = {f"evaluation/{name}": metrics[name] for name in COLUMNS[3:] if name in metrics}
-        self.scalars(judged, metrics["frames"])
+        scalars = {f"evaluation/{name}": metrics[name] for name in COLUMNS[3:] if name in metrics}
+        self.scalars(scalars, metrics["frames"])
 
     def scalars(self, values: Mapping[str, float], frames: float) -> None:
         """Log scalar values after ``frames`` frames."""

@@ -107,14 +107,14 @@ def _value(best: dict[str, float] | None) -> float:
 
 def _summary(best: dict[str, float] | None, run: Path, walks: bool) -> str:
     """Return the best evaluation and how to look at the policy; only the walking task can be drawn."""
-    judge = f"\nJudge it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
-    judge += f"\nWatch it walk:  python -m gctd3.view run={run}" if walks else ""
-    return f"\n{_said(best)}{judge if best is not None else ''}"
+    advice = f"\nEvaluate it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
+    advice += f"\nWatch it walk:  python -m gctd3.view run={run}" if walks else ""
+    return f"\n{_said(best)}{advice if best is not None else ''}"
 
 
 def _said(best: dict[str, float] | None) -> str:
     if best is None:
-        return "It has not been evaluated yet, so there is no policy to judge."
+        return "It has not been evaluated yet, so it has no best policy."
     return (
         f"Best evaluation, after {best['frames']:,.0f} steps and {best['wall_s'] / 60:.1f} minutes: "
         f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}, success {best['success_rate']:.0%}, "

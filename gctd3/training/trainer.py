@@ -77,8 +77,10 @@ class Trainer:
         self.replay = Replay(settings.replay, settings.algo.gamma, task.history, mirror, self.device)
         recipe = EnvRecipe(task, env)
         self.collector = build_collector(settings.collector, recipe, settings.batch_steps, settings.seed, self.explorer)
-        judged = env.judging(settings.evaluation.episodes, env.threads)
-        self.evaluation_env = build_env(task.judged_by(settings.evaluation.reward), judged, settings.evaluation.seed)
+        evaluated = env.for_evaluation(settings.evaluation.episodes, env.threads)
+        self.evaluation_env = build_env(
+            task.with_reward(settings.evaluation.reward), evaluated, settings.evaluation.seed
+        )
         said = {"graph": {"nodes": setup.graph.nodes, "edges": setup.graph.edges}, **(about or {})}
         self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, said)
         self.log = RunLog(directory, settings.logger)

@@ -25,12 +25,12 @@ def conditions_figure(groups: Groups) -> Figure:
     return figure
 
 
-def shoves_figure(groups: Groups) -> Figure | None:
+def pushes_figure(groups: Groups) -> Figure | None:
     """Plot the largest impulse survived at each phase of the stride, a group's mean; ``None`` without any."""
     if not any(_largest(results, direction) is not None for results in groups.values() for direction in DIRECTIONS):
         return None
     figure, axes = new()
-    _shoves(axes[0, 0], groups)
+    _pushes(axes[0, 0], groups)
     return figure
 
 
@@ -39,7 +39,7 @@ def save(results: Mapping[str, Any], file: Path) -> None:
     groups = {"": [results]}
     figure, axes = new(2, 1, height=_height(groups) + 2.9)
     _conditions(axes[0, 0], groups)
-    _shoves(axes[1, 0], groups)
+    _pushes(axes[1, 0], groups)
     with matplotlib.rc_context(STYLE):
         figure.savefig(file, format="png", dpi=160, facecolor="white")
 
@@ -72,7 +72,7 @@ def _conditions(ax: Axes, groups: Groups) -> None:
         legend(ax)
 
 
-def _shoves(ax: Axes, groups: Groups) -> None:
+def _pushes(ax: Axes, groups: Groups) -> None:
     for group, colour in colours(list(groups)).items():
         for direction, sign in DIRECTIONS.items():
             values = _largest(groups[group], direction)
@@ -97,7 +97,7 @@ def _shoves(ax: Axes, groups: Groups) -> None:
 
 def _largest(results: Sequence[Mapping[str, Any]], direction: str) -> np.ndarray | None:
     """Return the mean over the policies with a result, shape ``[phases]``; another number of phases is left out."""
-    found = [r["shoves"]["largest"][direction] for r in results if r.get("shoves")]
+    found = [r["pushes"]["largest"][direction] for r in results if r.get("pushes")]
     rows = [np.array([np.nan if value is None else value for value in row], dtype=float) for row in found]
     rows = [row for row in rows if len(row) == len(rows[0]) and np.isfinite(row).any()]
     if not rows:

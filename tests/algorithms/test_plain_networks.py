@@ -74,11 +74,11 @@ def test_traced_losses_update_as_they_are(monkeypatch):
 
 
 @each
-def test_trains_and_is_judged_from_the_command_line(tmp_path, name):
+def test_trains_and_is_evaluated_from_the_command_line(tmp_path, name):
     run = train(tmp_path / "run", f"algo={name}", f"algo._target_=plain_networks.{KINDS[name]}")
     assert float(rows(run)[-1]["updates"]) > 0
-    assert command("evaluate", f"run={run}", "episodes=2", f"out={tmp_path / 'judged'}") == 0
-    assert json.loads((tmp_path / "judged" / "evaluation.json").read_text())
+    assert command("evaluate", f"run={run}", "episodes=2", f"out={tmp_path / 'evaluated'}") == 0
+    assert json.loads((tmp_path / "evaluated" / "evaluation.json").read_text())
 
 
 def test_a_training_says_that_it_is_slower(tmp_path):

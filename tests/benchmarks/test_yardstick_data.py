@@ -175,13 +175,13 @@ def test_both_warm_up_with_uniform_actions(sides, algo):
 
 
 @pytest.mark.parametrize(("algo", "task"), PAIRS)
-def test_both_are_judged_by_the_tasks_own_returns(sides, algo, task, tmp_path):
+def test_both_are_evaluated_by_the_tasks_own_returns(sides, algo, task, tmp_path):
     peers = importlib.import_module("peers")
     trainer, model = sides(algo, task)
-    judge = peers.Judge(trainer.settings, tmp_path / "theirs", peers.ENDLESS, threads=1)
-    alone = gymnasium.make(robots(judge.env)[0].spec.id)
+    evaluator = peers.Evaluator(trainer.settings, tmp_path / "theirs", peers.ENDLESS, threads=1)
+    alone = gymnasium.make(robots(evaluator.env)[0].spec.id)
     # All from one start, so that one episode says what all are to come to.
-    for env in (*robots(judge.env), *robots(trainer.evaluation_env), alone):
+    for env in (*robots(evaluator.env), *robots(trainer.evaluation_env), alone):
         shorten(env)
         env.unwrapped._reset_noise_scale = 0.0
 
@@ -193,7 +193,7 @@ def test_both_are_judged_by_the_tasks_own_returns(sides, algo, task, tmp_path):
     def act(seen):
         return torch.as_tensor(model.predict(seen.numpy(), deterministic=True)[0])
 
-    judge(act, trainer.settings.evaluation.every, 0)
+    evaluator(act, trainer.settings.evaluation.every, 0)
     (theirs,) = importlib.import_module("gait_table").read_progress(tmp_path / "theirs" / "progress.csv")
     ours = trainer._evaluate()
     for row in (ours, theirs):

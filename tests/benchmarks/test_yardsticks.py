@@ -220,7 +220,7 @@ def test_trains_both_and_goes_on_where_it_stopped(yardsticks, tmp_path, monkeypa
     written = yardsticks(plot=tmp_path / "curves.png")
     ours, theirs = written["runs"]
     assert (ours["side"], theirs["side"]) == ("gctd3", "sb3") and (tmp_path / "curves.png").exists()
-    # Ours is not judged while it is random; then both are at the same moments, after as many updates but for the ends.
+    # Ours is not evaluated while it acts randomly; later evaluations of both come at the same steps.
     assert [row["frames"] for row in ours["curve"]] == [300, 400]
     assert [row["frames"] for row in theirs["curve"]] == [100, 200, 300, 400]
     assert [run["curve"][-1]["updates"] for run in (ours, theirs)] == [101, 99]

@@ -159,8 +159,8 @@ def test_the_verdict_says_what_runs_cost(tmp_path):
         timed(tmp_path, f"b{seed}", "1000,10,30,100,1.0,1", **TD3)
     # Of 90, 96 and 108 s.
     ours, theirs = costs(tmp_path)
-    assert ours.endswith("that was judged; a whole run took 1.6 min in the median (1.5 to 1.8).")
-    assert theirs.endswith("that was judged; a whole run took 30.0 s.")
+    assert ours.endswith("that was evaluated; a whole run took 1.6 min in the median (1.5 to 1.8).")
+    assert theirs.endswith("that was evaluated; a whole run took 30.0 s.")
     for run in tmp_path.glob("a*"):
         (run / "post_mortem").mkdir()
     assert [line.split(":")[0] for line in costs(tmp_path)] == ["td3"]

@@ -22,7 +22,7 @@ def cells(tmp_path, *found):
 
 def test_seeds_without_strides_are_counted(tmp_path):
     said = cells(tmp_path, WALKS, FEW, SLIDES, {})
-    assert said["seeds judged here"] == "3 of 4"
+    assert said["seeds evaluated here"] == "3 of 4"
     assert said["flight"] == "0.20 (0.10 to 0.30)"
     assert said["duty factor"] == "0.50 (0.40 to 0.60); 1 not periodic"
     assert said["largest Floquet multiplier"] == "0.50; 1 too few strides; 1 not periodic"

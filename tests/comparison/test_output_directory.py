@@ -65,7 +65,7 @@ def test_a_new_report_leaves_nothing_of_the_one_before(runs, tmp_path):
     for place in (out, fresh):
         report(ReportSettings(str(runs), str(place)))
     gone = {"tables/settings.csv", "tables/equal_time.csv", "tables/robustness.csv", "figures/improvement.svg"}
-    assert gone | {"figures/improvement.png", "figures/shoves.png"} <= before
+    assert gone | {"figures/improvement.png", "figures/pushes.png"} <= before
     # It is the report that an empty directory gets; what no report writes stays.
     assert contents(out) == {**contents(fresh), "figures/notes.md": b"mine"}
 

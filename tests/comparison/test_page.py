@@ -32,7 +32,7 @@ FIGURES = {
     "Probability of improvement",
     "Body height",
     "Success under other conditions",
-    "Shoves survived over the stride",
+    "Pushes survived over the stride",
 } | {f"{group}, seed 0: {what}" for group in GROUPS[:2] for what in OF_A_GROUP}
 
 
@@ -65,8 +65,8 @@ def runs(tmp_path_factory, robot):
             config = OmegaConf.load(shipped / CONFIG)
             frames = {"total_frames": 2000, "exploration": {"learning_starts": 1000}}
             OmegaConf.save(OmegaConf.merge(config, frames, {"seed": seed, "algo": {"tau": tau}}), run / CONFIG)
-            judged = json.loads((run / "evaluation.json").read_text())
-            (run / "evaluation.json").write_text(json.dumps({**judged, "gait": gait(seed)}))
+            evaluated = json.loads((run / "evaluation.json").read_text())
+            (run / "evaluation.json").write_text(json.dumps({**evaluated, "gait": gait(seed)}))
             examined(run, 0.8, [2.0, 4.0])
             if tau in TAUS[:2]:
                 (run / "trace.csv").write_text(trace(robot))

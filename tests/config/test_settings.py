@@ -56,7 +56,7 @@ def test_an_empty_reward_is_there_to_be_filled():
 
 
 @pytest.mark.parametrize("option", [option for group, option in OPTIONS if group == "reward" and option != "empty"])
-def test_every_reward_can_judge_too(option):
+def test_every_reward_can_evaluate_too(option):
     settings = build(composed(f"reward@evaluation.reward={option}"))
     assert settings.evaluation.reward == build(composed(f"reward={option}")).reward
 

@@ -112,7 +112,7 @@ def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_policy_of_nan_is_not_judged(tmp_path, capsys):
+def test_a_policy_of_nan_is_not_evaluated(tmp_path, capsys):
     class Bad(Recorded):
         def _evaluate(self):
             bad_actor(self)

@@ -1,4 +1,4 @@
-"""What is recorded while policies are judged, against MuJoCo's own numbers and a ruler."""
+"""What is recorded while policies are evaluated, against MuJoCo's own numbers and a ruler."""
 
 import csv
 import json
@@ -19,7 +19,7 @@ from gctd3.evaluation.recorder import Motion, Recorder, Servos, leg_length, sole
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize
 from gctd3.robots.robot import Robot
-from gctd3.runs.judge import table, trace
+from gctd3.runs.evaluate import table, trace
 
 DT = 0.02
 
@@ -189,7 +189,7 @@ def test_the_metrics_of_a_made_up_walk(robot):
     assert found["action_jerk"] == pytest.approx(0.5 / math.sqrt(2) * (step / DT) ** 3, rel=0.01)
 
 
-def test_four_legs_are_judged_in_pairs():
+def test_four_legs_are_measured_in_pairs():
     quadruped = Robot.from_mjcf("quadruped")
     found = summarize([made_up(quadruped)], quadruped, DT)
     assert found["strides"] == 2 * (16 + 15)

@@ -1,4 +1,4 @@
-"""The extension examples: each is a stranger's package of one file and one YAML, trained, judged and resumed."""
+"""The extension examples: each is a stranger's package of one file and one YAML, trained, evaluated and resumed."""
 
 import re
 import shlex
@@ -43,7 +43,7 @@ def test_every_example_is_one_file_and_one_yaml():
 
 # Plain layers cannot run as a stack, and a line says that this is slower.
 @pytest.mark.filterwarnings("ignore::gctd3.errors.PerformanceWarning")
-def test_it_trains_and_is_judged_and_resumed(trained):
+def test_it_trains_and_is_evaluated_and_resumed(trained):
     run = trained
     assert len(rows(run)) >= 2
     # What is imported already is trusted.

@@ -55,7 +55,7 @@ def test_windows_are_settings(robot):
 
 @pytest.mark.parametrize(
     ("now", "falls"),
-    # The last one is punished once, not twice.
+    # The last one is penalised once, not twice.
     [(sense(z=-0.1), 0), (sense(z=-0.1001), 1), (sense(other=True), 1), (sense(z=-0.2, other=True), 1)],
 )
 def test_fall(task, now, falls):

@@ -17,7 +17,7 @@ FLAT = ["task.observation=flat", "algo=td3", "network.graph_layers=[]"]
 WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episodes", "total_frames"]
 
 
-# Walker2d falls within the frames of the test; an episode of dm_control's has 1,000 steps, so that is judged only once.
+# Walker2d falls within the frames of the test; dm_control's episodes have 1,000 steps, so it is evaluated only once.
 @pytest.mark.parametrize(
     "task, every",
     [

@@ -64,9 +64,11 @@ def test_nothing_of_a_run_is_executed(tmp_path, capsys, run):
                 with pytest.raises(RunError, match=re.escape(str(broken / file))):
                     load_tree(broken / file)
             capsys.readouterr()
-            judged = "best-" in str(file) or file.name == "config.yaml"
+            evaluated = "best-" in str(file) or file.name == "config.yaml"
             code = (
-                command("evaluate", f"run={broken}", "episodes=1") if judged else command("train", f"resume={broken}")
+                command("evaluate", f"run={broken}", "episodes=1")
+                if evaluated
+                else command("train", f"resume={broken}")
             )
             assert code == 2
             assert "Traceback" not in capsys.readouterr().err

@@ -86,13 +86,13 @@ def test_a_run_keeps_the_contract(runs, algorithm):
     assert {"gctd3", "torch", "torchrl", "mujoco"} <= set(report["versions"])
 
 
-def test_load_policy_is_the_policy_that_was_judged_best(runs):
+def test_load_policy_is_the_policy_that_was_evaluated_best(runs):
     run, trainer = runs("gctd3")
     policy, nodes = gctd3.load_policy(run), torch.randn(20, 8, 10)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         loaded = policy(TensorDict({"nodes": nodes}, [20]))["action"]
         actions = {
-            frames: judged(TensorDict({"nodes": nodes}, [20]))["action"] for frames, judged in trainer.policies.items()
+            frames: policy(TensorDict({"nodes": nodes}, [20]))["action"] for frames, policy in trainer.policies.items()
         }
     assert [frames for frames, action in actions.items() if torch.equal(action, loaded)] == [trainer.best["frames"]]
 

@@ -1,4 +1,4 @@
-"""Pictures of a walk: the walk that is judged, marks and sizes as asked, files that read back, any OpenGL."""
+"""Pictures of a walk: the walk that is evaluated, marks and sizes as asked, files that read back, any OpenGL."""
 
 import os
 import subprocess
@@ -14,7 +14,7 @@ from PIL import Image
 import gctd3
 from gctd3.errors import ConfigError
 from gctd3.robots.robot import Robot
-from gctd3.runs.judge import evaluate
+from gctd3.runs.evaluate import evaluate
 from gctd3.viz import film
 from gctd3.viz.film import Walk, draw, record, sheet, write_animation
 
@@ -31,7 +31,7 @@ def walk(actor, task):
     return record(actor, task, seed=3)
 
 
-def test_the_walk_is_the_one_that_evaluation_judges(actor, task, walk):
+def test_the_walk_is_the_one_that_is_evaluated(actor, task, walk):
     (episode,) = evaluate(actor, env_of(task, num_envs=1), task, 3).episodes
     np.testing.assert_array_equal(walk.reward.astype(np.float32), episode.reward.astype(np.float32))
     np.testing.assert_allclose(walk.position, episode.position, atol=1e-6)

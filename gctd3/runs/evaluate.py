@@ -44,8 +44,8 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
     reward = settings.reward or run.settings.evaluation.reward
-    task = run.setup.task.judged_by(reward)
-    env = build_env(task, run.settings.env.judging(settings.episodes, settings.threads), settings.seed)
+    task = run.setup.task.with_reward(reward)
+    env = build_env(task, run.settings.env.for_evaluation(settings.episodes, settings.threads), settings.seed)
     walks, dt = "film" in task.abilities, task.control_dt
     result = evaluate(policy, env, task, settings.seed, record=walks)
     about: dict[str, object] = {"reward": reward.to_dict()} if walks else {"task": task.name}
@@ -80,7 +80,7 @@ def examine_run(settings: EvaluateSettings, stride_time: float | None) -> dict[s
     run, folder = load_run(settings.run), settings.folder
     reward = settings.reward or run.settings.evaluation.reward
     task = run.task("robustness", reward)
-    env = run.settings.env.judging(settings.episodes, settings.threads)
+    env = run.settings.env.for_evaluation(settings.episodes, settings.threads)
     examination = Examination(run.policy(), task, env, settings.seed, settings.perturbations)
     results = {**examination.results(stride_time), "reward": reward.to_dict(), "versions": versions()}
     if folder is None:
