@@ -182,10 +182,10 @@ def seal(content: Mapping[str, Any]) -> str:
 def check_file(path: Path, expected: str) -> None:
     """Raise a :class:`RunError` unless ``path`` has the checksum ``expected``."""
     try:
-        found = checksum(path)
+        actual = checksum(path)
     except OSError as error:
         raise RunError(f"{path} cannot be read: {error.strerror}") from error
-    if found != expected:
+    if actual != expected:
         raise RunError(f"{path} is damaged: its checksum does not fit.")
 
 

@@ -41,13 +41,13 @@ class Adam(torch.optim.Adam):
 
     def step(self, closure: Callable[[], Any] | None = None) -> Any:  # noqa: ANN401 - PyTorch's
         """Take one optimisation step."""
-        found = self._found
-        if closure is not None or found is None or found.changed():
+        groups = self._found
+        if closure is not None or groups is None or groups.changed():
             loss = super().step(closure)
             self._find()
             return loss
-        gradients: list[Any] = [parameter.grad for parameter in found.moved]
-        adam_step(found.moved, gradients, *found.state, self.param_groups[0])
+        gradients: list[Any] = [parameter.grad for parameter in groups.moved]
+        adam_step(groups.moved, gradients, *groups.state, self.param_groups[0])
         return None
 
     def _find(self) -> None:

@@ -53,10 +53,12 @@ def _reward(run: Run) -> bool:
 
 
 def _spread(sets: Iterable[list[Run]], key: str) -> str:
-    found: dict[str, list[str]] = {}
+    names_by_value: dict[str, list[str]] = {}
     for runs in sets:
-        found.setdefault(str(runs[0].config.get(key)), []).extend(run.name for run in runs)
-    return "; ".join(f"{value} in {', '.join(names[:3])}{', ...' * (len(names) > 3)}" for value, names in found.items())
+        names_by_value.setdefault(str(runs[0].config.get(key)), []).extend(run.name for run in runs)
+    return "; ".join(
+        f"{value} in {', '.join(names[:3])}{', ...' * (len(names) > 3)}" for value, names in names_by_value.items()
+    )
 
 
 def check_episodes(runs: Sequence[Run], settings: EpisodeSettings) -> None:
@@ -99,8 +101,8 @@ def check_episodes(runs: Sequence[Run], settings: EpisodeSettings) -> None:
 
 def _episodes_of(evaluation: Mapping[str, object]) -> Episodes:
     seeds = evaluation.get("seeds")
-    found = evaluation.get("episodes"), seeds.get("evaluation") if isinstance(seeds, Mapping) else None
-    episodes, seed = (value if isinstance(value, int) else None for value in found)
+    values = evaluation.get("episodes"), seeds.get("evaluation") if isinstance(seeds, Mapping) else None
+    episodes, seed = (value if isinstance(value, int) else None for value in values)
     return episodes, seed
 
 

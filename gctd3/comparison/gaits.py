@@ -78,5 +78,5 @@ def _gait_cell(runs: Sequence[Run], key: str, digits: int) -> str:
         known = [mean + (phase - mean + 0.5) % 1.0 - 0.5 for phase in known]
     gaits = [run.gait for run in runs]
     lacking = Counter(why_missing(gait, key) for gait in gaits if key in gait and gait[key] is None)
-    said = [mean_and_range(known, digits)] if known or not lacking else []
-    return "; ".join(said + [f"{count} {why}" for why, count in lacking.items()])
+    parts = [mean_and_range(known, digits)] if known or not lacking else []
+    return "; ".join(parts + [f"{count} {why}" for why, count in lacking.items()])

@@ -149,7 +149,7 @@ def _gait_pictures(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: G
     from gctd3.comparison.filmstrips import stride_of
     from gctd3.comparison.page import Row
 
-    found: list[object] = []
+    items: list[object] = []
     for group, runs in groups.items():
         run = typical(runs)
         if run is None:
@@ -162,8 +162,8 @@ def _gait_pictures(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: G
         except RenderError as error:
             notes.append(f"{group}: no filmstrip. {error}")
         contacts, others, lacking = _traces(group, typical(with_trace(runs)), robot, gallery)
-        found += [*notes, *lacking, Row([[picture] for picture in (*others, *contacts)], films)]
-    return found
+        items += [*notes, *lacking, Row([[picture] for picture in (*others, *contacts)], films)]
+    return items
 
 
 def _traces(
@@ -199,15 +199,15 @@ def _robustness(groups: Mapping[str, Sequence[Run]], gallery: Gallery) -> list[o
     examined = {group: results for group, results in examined.items() if results}
     if not examined:
         return []
-    found: list[object] = [tables.robustness_table(examined)]
+    items: list[object] = [tables.robustness_table(examined)]
     figure = robustness_plot.conditions_figure(examined)
     caption = "The mean over seeds; a stroke for each seed."
-    found.append(gallery.add(figure, "conditions", "Success under other conditions", caption))
+    items.append(gallery.add(figure, "conditions", "Success under other conditions", caption))
     pushes = robustness_plot.pushes_figure(examined)
     if pushes is not None:
         caption = (
             "The largest impulse on the body up to which all starts survive; the mean over seeds. Solid "
             "forward, dashed backward."
         )
-        found.append(gallery.add(pushes, "pushes", "Pushes survived over the stride", caption))
-    return found
+        items.append(gallery.add(pushes, "pushes", "Pushes survived over the stride", caption))
+    return items

@@ -97,17 +97,17 @@ class Run:
 
     def value(self, key: str) -> float:
         """Return a number of the evaluation, else of its gait metrics; NaN if it is missing or undefined."""
-        found = (self.evaluation or {}).get(key)
-        if found is None:
-            found = self.gait.get(key)
-        return float(found) if isinstance(found, (int, float)) else math.nan
+        value = (self.evaluation or {}).get(key)
+        if value is None:
+            value = self.gait.get(key)
+        return float(value) if isinstance(value, (int, float)) else math.nan
 
 
 def find_runs(root: Path) -> list[Run]:
     """Find all runs below ``root``, or ``root`` itself, that have a configuration.
 
     Raises:
-        RunError: If there is none, or one cannot be read.
+        RunError: If no run is found, or one cannot be read.
     """
     if not root.is_dir():
         raise RunError(f"No directory at {root}.")
@@ -124,7 +124,7 @@ def lost_runs(root: Path) -> list[str]:
 
 def _directories(root: Path) -> list[Path]:
     """Find the directories of runs by the files that even a run killed at its beginning leaves."""
-    return sorted({found.parent for name in (CONFIG.parent.name, PROGRESS) for found in root.rglob(name)})
+    return sorted({path.parent for name in (CONFIG.parent.name, PROGRESS) for path in root.rglob(name)})
 
 
 def _configured(directory: Path) -> bool:
@@ -205,12 +205,12 @@ def _robustness(file: Path) -> Mapping[str, Any] | None:
     if not file.is_file():
         return None
     try:
-        found: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        if not {"conditions", "pushes", "perturbations"} <= set(found):
+        results: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        if not {"conditions", "pushes", "perturbations"} <= set(results):
             raise ValueError("it lacks conditions, pushes or perturbations")
     except (ValueError, TypeError) as error:
         raise RunError(f"{file} cannot be read: {error}; delete it, or examine the run again.") from error
-    return found
+    return results
 
 
 def evaluated(runs: Sequence[Run], settings: EpisodeSettings) -> list[Run]:
@@ -252,7 +252,7 @@ def _rows(file: Path, hint: str) -> list[dict[str, float]]:
     Raises:
         RunError: If it cannot.
     """
-    line, found = 1, []
+    line, rows = 1, []
     try:
         lines = csv.reader(file.read_text(encoding="utf-8").splitlines())
         head = next(lines, [])
@@ -260,7 +260,7 @@ def _rows(file: Path, hint: str) -> list[dict[str, float]]:
             line = lines.line_num
             if len(cells) != len(head):
                 raise ValueError(f"{len(cells)} cells under {len(head)} columns")
-            found.append({key: float(text or "nan") for key, text in zip(head, cells, strict=True)})
+            rows.append({key: float(text or "nan") for key, text in zip(head, cells, strict=True)})
     except (ValueError, csv.Error) as error:
         raise RunError(f"{file} cannot be read: line {line}, {error}; {hint}.") from error
-    return found
+    return rows

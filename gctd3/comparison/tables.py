@@ -107,8 +107,8 @@ def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: b
 
 def _episodes(groups: Mapping[str, Sequence[Run]]) -> str:
     """Return the number of episodes as ``50 episodes``, or ``episodes`` if it is unknown or differs between runs."""
-    found = {run.evaluation.get("episodes") for runs in groups.values() for run in runs if run.evaluation}
-    return f"{found.pop()} episodes" if len(found) == 1 and None not in found else "episodes"
+    numbers = {run.evaluation.get("episodes") for runs in groups.values() for run in runs if run.evaluation}
+    return f"{numbers.pop()} episodes" if len(numbers) == 1 and None not in numbers else "episodes"
 
 
 def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
@@ -117,9 +117,9 @@ def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
     rows = []
     for group, known in reached_by(groups, limit.seconds).items():
         cells = [interval([scale * getattr(one, key) for one in known]) for key, scale, _ in columns]
-        said = [cell.text(column[-1]) if known else "-" for cell, column in zip(cells, columns, strict=True)]
+        texts = [cell.text(column[-1]) if known else "-" for cell, column in zip(cells, columns, strict=True)]
         seeds = f"{len(known)} of {len(groups[group])}"
-        rows.append([group, seeds, *said, _number(limit.medians[group] / 60.0, 2)])
+        rows.append([group, seeds, *texts, _number(limit.medians[group] / 60.0, 2)])
     return Table(
         "equal_time",
         "At equal wall-clock",
@@ -152,11 +152,11 @@ def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table
     conditions = dict.fromkeys(name for results in groups.values() for one in results for name in one["conditions"])
     rows = []
     for name in conditions:
-        found = [
+        rates = [
             [one["conditions"][name]["success_rate"] for one in results if name in one["conditions"]]
             for results in groups.values()
         ]
-        rows.append([f"success, {name}", "", *(mean_and_range(values, 2) for values in found)])
+        rows.append([f"success, {name}", "", *(mean_and_range(values, 2) for values in rates)])
     for direction in DIRECTIONS:
         impulses = [[weakest(one, direction) for one in results] for results in groups.values()]
         cells = [mean_and_range([value for value in values if np.isfinite(value)], 1) for values in impulses]

@@ -129,14 +129,14 @@ def _refuse(error: Exception, config: str) -> NoReturn:
     hydra_config = HydraConfig.get()
     directory = Path(hydra_config.runtime.output_dir)
     _remove_empty(directory)
-    said, sweeping = explain(error, config), hydra_config.mode is RunMode.MULTIRUN
+    message, sweeping = explain(error, config), hydra_config.mode is RunMode.MULTIRUN
     if sweeping and not isinstance(error, _WRONG_SETTINGS):
         # The sweep itself fails at its end.
-        print(f"error: {directory}: {said}", file=sys.stderr, flush=True)
+        print(f"error: {directory}: {message}", file=sys.stderr, flush=True)
         raise RunError(f"{directory} failed, as was said when it did; the other runs went on.") from None
     if sweeping and not own_launcher(hydra_config.launcher):
-        raise RunError(said) from None  # for the process that started the sweep to say
-    fail(said)
+        raise RunError(message) from None  # for the process that started the sweep to say
+    fail(message)
 
 
 def _unread() -> NoReturn:
@@ -200,13 +200,13 @@ def ships(argument: str) -> bool:
 
 def _elsewhere(arguments: list[str]) -> list[str]:
     """Return the override with Hydra's further search paths, if a command line gives them."""
-    said = [argument for argument in arguments if argument.startswith("hydra.searchpath=")]
+    overrides = [argument for argument in arguments if argument.startswith("hydra.searchpath=")]
     for argument, following in itertools.zip_longest(arguments, arguments[1:], fillvalue=""):
         option, _, folder = argument.partition("=")
         if option in ("--config-dir", "-cd"):
             path = str(Path(folder or following).absolute()).replace("'", "\\'")
-            said.append(f"hydra.searchpath=['file://{path}']")
-    return said[-1:]
+            overrides.append(f"hydra.searchpath=['file://{path}']")
+    return overrides[-1:]
 
 
 def _known_keys(config: str, arguments: list[str]) -> list[str]:
@@ -221,13 +221,13 @@ def _known_keys(config: str, arguments: list[str]) -> list[str]:
                 sound.append(argument)
 
     def walk(node: DictConfig, prefix: str) -> list[str]:
-        found = []
+        known = []
         for key in map(str, node):
             value = OmegaConf.select(node, key, throw_on_missing=False)
             if key != "_target_":
-                found.append(f"{prefix}{key}")
+                known.append(f"{prefix}{key}")
             if isinstance(value, DictConfig):
-                found += walk(value, f"{prefix}{key}.")
-        return found
+                known += walk(value, f"{prefix}{key}.")
+        return known
 
     return walk(composed, "")

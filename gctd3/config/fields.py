@@ -63,21 +63,21 @@ def is_settings(thing: object) -> typing.TypeGuard[type]:
 
 def settings_of(cls: type) -> list[Setting]:
     """Describe the fields of a dataclass, those of its bases first."""
-    hints, said, defaults = typing.get_type_hints(cls), meanings(cls), defaults_of(cls)
-    return [Setting(name, hints[name], default, said.get(name, "")) for name, default in defaults.items()]
+    hints, texts, defaults = typing.get_type_hints(cls), meanings(cls), defaults_of(cls)
+    return [Setting(name, hints[name], default, texts.get(name, "")) for name, default in defaults.items()]
 
 
 def defaults_of(cls: type) -> dict[str, Any]:
     """Return the default of every field of a dataclass, as YAML has it."""
-    found = {}
+    defaults = {}
     for field in dataclasses.fields(cls):
         if field.default is not dataclasses.MISSING:
-            found[field.name] = in_yaml(field.default)
+            defaults[field.name] = in_yaml(field.default)
         elif field.default_factory is not dataclasses.MISSING:
-            found[field.name] = in_yaml(field.default_factory())
+            defaults[field.name] = in_yaml(field.default_factory())
         elif field.init:
-            found[field.name] = REQUIRED
-    return found
+            defaults[field.name] = REQUIRED
+    return defaults
 
 
 def in_yaml(value: Any) -> Any:  # noqa: ANN401
@@ -101,7 +101,7 @@ def name_of(cls: type) -> str:
 
 def meanings(cls: type) -> dict[str, str]:
     """Read the meanings of a class's fields from the ``Attributes:`` of its docstring and its bases'."""
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         section = inspect.cleandoc(vars(base).get("__doc__") or "").partition("\nAttributes:\n")[2]
         name = None
@@ -109,12 +109,12 @@ def meanings(cls: type) -> dict[str, str]:
             entry = _ENTRY.fullmatch(line)
             if entry:
                 name = entry["name"]
-                found[name] = entry["text"]
+                texts[name] = entry["text"]
             elif name is None or not line.startswith("     "):
                 break  # another section
             else:
-                found[name] += " " + line.strip()
-    return found
+                texts[name] += " " + line.strip()
+    return texts
 
 
 def in_plain_text(meaning: str) -> str:

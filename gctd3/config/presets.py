@@ -67,8 +67,8 @@ def groups() -> list[str]:
 
 def presets(group: str) -> list[Preset]:
     """Read the options of a group, those that build on no other first."""
-    found = [read(file) for file in sorted((conf() / group).glob("*.yaml"))]
-    return sorted(found, key=lambda preset: (preset.base is not None, preset.name))
+    options = [read(file) for file in sorted((conf() / group).glob("*.yaml"))]
+    return sorted(options, key=lambda preset: (preset.base is not None, preset.name))
 
 
 def read(file: Path) -> Preset:

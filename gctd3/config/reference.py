@@ -67,7 +67,7 @@ def _commands() -> Iterator[str]:
         yield ""
         if chosen:
             yield from ["| group | default | options |", "|---|---|---|"]
-            yield from (f"| `{choice.name}` | `{choice.value}` | {choice.said} |" for choice in chosen)
+            yield from (f"| `{choice.name}` | `{choice.value}` | {choice.meaning} |" for choice in chosen)
             yield ""
 
 
@@ -94,8 +94,8 @@ def _groups() -> Iterator[str]:
 def _settings(preset: Preset, options: list[Preset]) -> type | None:
     """Find the dataclass of an option, or that of the option on which it builds."""
     if preset.target is not None:
-        found = find(preset.target) if preset.target.startswith("gctd3.") else None
-        return found if is_settings(found) else None
+        cls = find(preset.target) if preset.target.startswith("gctd3.") else None
+        return cls if is_settings(cls) else None
     base = next((other for other in options if other.name == preset.base), None)
     return _settings(base, options) if base is not None and not preset.everywhere else None
 

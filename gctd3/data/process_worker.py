@@ -30,7 +30,7 @@ class _Scheme(AnswerHook, SharedMemWeightSyncScheme):
 
 
 @contextlib.contextmanager
-def _deaf_children() -> Iterator[None]:
+def _signals_ignored_by_children() -> Iterator[None]:
     """Shield processes begun meanwhile from Ctrl-C and SIGTERM, which go to a whole process group.
 
     The learner tells its workers when to end. Signals that this thread blocks reach another
@@ -47,7 +47,7 @@ class ProcessWorker(Worker):
     """Run a worker in a process on this machine; the constructor returns once it is ready."""
 
     def __init__(self, job: Job) -> None:
-        with _deaf_children():
+        with _signals_ignored_by_children():
             self._collector = MultiSyncCollector(
                 [job.make_env],
                 job.policy,

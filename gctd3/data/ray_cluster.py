@@ -63,11 +63,11 @@ def _connect(address: str | None) -> None:
             f"collector.address={address}: what listens there has not answered as a Ray cluster in {JOIN:g} s."
         ) from error
     except Exception as error:  # Ray raises bare ones too
-        said = " ".join(line.strip() for line in str(error).splitlines()[:4]) or type(error).__name__
+        reason = " ".join(line.strip() for line in str(error).splitlines()[:4]) or type(error).__name__
         if address is None:
-            raise WorkerError(f"No Ray cluster could be started on this machine: {said}") from error
+            raise WorkerError(f"No Ray cluster could be started on this machine: {reason}") from error
         raise ConfigError(
-            f"collector.address={address}: cannot join a Ray cluster there: {said}. "
+            f"collector.address={address}: cannot join a Ray cluster there: {reason}. "
             "If it asks for a token, this machine needs the same one (RAY_AUTH_TOKEN)."
         ) from error
 
@@ -86,9 +86,9 @@ def _check_answers(address: str) -> None:
 
 def check_room(workers: int, cpus: int, nodes: Mapping[str, int]) -> None:
     """Raise a :class:`.ConfigError` if ``nodes`` (their CPUs by name) do not hold so many workers."""
-    room = sum(there // cpus for there in nodes.values())
+    room = sum(available // cpus for available in nodes.values())
     if room < workers:
-        listed = ", ".join(f"{name}: {there}" for name, there in sorted(nodes.items()))
+        listed = ", ".join(f"{name}: {available}" for name, available in sorted(nodes.items()))
         raise ConfigError(
             f"collector.workers={workers} with collector.cpus={cpus} need {workers * cpus} CPUs, but the cluster has "
             f"room for {room} ({listed}): lower them, or add nodes with `ray start --address=...`."
@@ -97,11 +97,11 @@ def check_room(workers: int, cpus: int, nodes: Mapping[str, int]) -> None:
 
 def installed() -> dict[str, str]:
     """Return the installed versions of the packages that learner and workers must have alike."""
-    found = {}
+    versions = {}
     for package in ALIKE:
         with contextlib.suppress(PackageNotFoundError):
-            found[package] = version(package)
-    return found
+            versions[package] = version(package)
+    return versions
 
 
 def _nodes() -> dict[str, dict[str, Any]]:
@@ -124,11 +124,11 @@ def _on_nodes(nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str
         import contextlib
         from importlib.metadata import PackageNotFoundError, version
 
-        found = {}
+        versions = {}
         for package in packages:
             with contextlib.suppress(PackageNotFoundError):
-                found[package] = version(package)
-        return found
+                versions[package] = version(package)
+        return versions
 
     asked = {}
     for name, node in nodes.items():
@@ -143,10 +143,10 @@ def _on_nodes(nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str
 def check_alike(here: Mapping[str, str], nodes: Mapping[str, Mapping[str, str]]) -> None:
     """Raise a :class:`.WorkerError` if a node has other versions than ``here``."""
     wrong = [
-        f"{package} {there.get(package, 'none')} on {name}, {mine} here"
-        for name, there in sorted(nodes.items())
+        f"{package} {versions.get(package, 'none')} on {name}, {mine} here"
+        for name, versions in sorted(nodes.items())
         for package, mine in here.items()
-        if there.get(package, "none") != mine
+        if versions.get(package, "none") != mine
     ]
     if wrong:
         raise WorkerError(f"The nodes of the Ray cluster must have the versions of this machine: {'; '.join(wrong)}.")

@@ -160,14 +160,14 @@ class Contract:
         shape = (len(self.nodes), *widths)
         names = self.readings
         ordered = all(s.low_rad <= s.start_rad <= s.high_rad and s.most_change_rad >= 0 for s in self.servos)
-        for right, said in (
+        for right, contradiction in (
             (shape == self.network.input_shape, f"nodes and history_frames make {shape}, not network.input_shape"),
             (len(set(names)) == len(names), "two features have one reading"),
             (self.control_rate_hz > 0 and self.history_frames > 0, "control_rate_hz and history_frames are above 0"),
             (bool(self.servos) and ordered, "servos have low_rad <= start_rad <= high_rad and most_change_rad >= 0"),
         ):
             if not right:
-                raise ContractError(f"The contract contradicts itself: {said}.")
+                raise ContractError(f"The contract contradicts itself: {contradiction}.")
 
     @property
     def readings(self) -> tuple[str, ...]:
@@ -206,14 +206,14 @@ def parse_contract(text: str) -> Contract:
     """
     try:
         content = json.loads(text)
-        found = content.pop(CHECKSUM)
+        sealed = content.pop(CHECKSUM)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ContractError(f"no contract of a policy, or damaged: {error!r}.") from error
     if content.get("format") != FORMAT:
         raise ContractError(
             f"it has format {content.get('format')!r}; gctd3 {gctd3.__version__} reads format {FORMAT}."
         )
-    if seal(content) != found:
+    if seal(content) != sealed:
         raise ContractError("it is damaged or was edited: its checksum does not fit.")
     contract: Contract = _read(content, Contract, "the contract")
     return contract

@@ -53,12 +53,12 @@ class LibraryTask:
     ) -> None:
         self.library, self.name, self.history = library, name, history
         self.observation, self.static = observation, static
-        found = _probe(library, name)
+        probe = _probe(library, name)
         feet = None if robot.feet is None else tuple(robot.feet)
         self.robot = _robot(library, name, feet, robot.forward)
-        self.control_dt = found.control_dt
+        self.control_dt = probe.control_dt
         if observation == "flat":
-            self.graph, self.features = KinematicGraph(("observation",), np.zeros((1, 1))), found.size
+            self.graph, self.features = KinematicGraph(("observation",), np.zeros((1, 1))), probe.size
         else:
             self.graph = robot.graph_of(self.robot)
             self.features = NODE_FEATURES + (len(STATIC) if static else 0)

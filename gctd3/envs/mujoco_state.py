@@ -85,15 +85,15 @@ def _layers(task: Any) -> Iterator[Any]:  # noqa: ANN401
 
 
 def _attributes(layer: Any) -> dict[str, dict[str, Any]]:  # noqa: ANN401
-    found = vars(layer).items()
+    attributes = vars(layer).items()
     numbers = (bool, int, float, np.generic, np.ndarray)
     return {
         "values": {
             name: np.array(value) if isinstance(value, np.ndarray) else value
-            for name, value in found
+            for name, value in attributes
             if isinstance(value, numbers) and np.asarray(value).dtype.kind in "biuf"
         },
-        "generators": {name: _get_generator(value) for name, value in found if isinstance(value, Generator)},
+        "generators": {name: _get_generator(value) for name, value in attributes if isinstance(value, Generator)},
     }
 
 

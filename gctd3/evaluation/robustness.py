@@ -63,16 +63,16 @@ class Examination:
     def _conditions(self) -> dict[str, tuple[Policy, SimulatedTask]]:
         p, task, robot = self.perturbations, self.task, self.task.robot
         noise = sensor_deviation(task, p.angle_noise, p.velocity_noise, p.height_noise, p.speed_noise)
-        found: dict[str, tuple[Policy, SimulatedTask]] = {AS_TRAINED: (self.policy, task)}
+        conditions: dict[str, tuple[Policy, SimulatedTask]] = {AS_TRAINED: (self.policy, task)}
         for factor in p.masses:
-            found[f"mass {_percent(factor)}"] = self.policy, task.on(altered(robot, mass=factor))
+            conditions[f"mass {_percent(factor)}"] = self.policy, task.on(altered(robot, mass=factor))
         for factor in p.frictions:
-            found[f"friction {_percent(factor)}"] = self.policy, task.on(altered(robot, friction=factor))
+            conditions[f"friction {_percent(factor)}"] = self.policy, task.on(altered(robot, friction=factor))
         for steps in p.delays:
             late = Delayed(self.policy, steps, resting_action(robot))
-            found[f"actions {steps} step{'s' * (steps != 1)} late"] = late, task
-        found["sensor noise"] = Noisy(self.policy, noise, self.seed), task
-        return found
+            conditions[f"actions {steps} step{'s' * (steps != 1)} late"] = late, task
+        conditions["sensor noise"] = Noisy(self.policy, noise, self.seed), task
+        return conditions
 
     def _summary(self, policy: Policy, task: SimulatedTask) -> dict[str, float | int]:
         return evaluate(policy, build_env(task, self.env, self.seed), task, self.seed).summary()
@@ -123,24 +123,24 @@ def largest(rates: np.ndarray, impulses: Sequence[float]) -> np.ndarray:
         Largest impulse survived, shape ``[*]`` (N s); NaN where no robot was pushed with the smallest.
     """
     steps = np.cumprod(rates >= 1.0, axis=-1).sum(axis=-1)
-    found = np.concatenate([[0.0], np.asarray(impulses, dtype=np.float64)])[steps]
-    return np.where(np.isnan(rates[..., 0]), np.nan, found)
+    survived = np.concatenate([[0.0], np.asarray(impulses, dtype=np.float64)])[steps]
+    return np.where(np.isnan(rates[..., 0]), np.nan, survived)
 
 
 def weakest(results: Mapping[str, Any], direction: str) -> float:
     """Return the largest impulse (N s) that is survived at every phase; NaN if nobody was pushed at one of them."""
-    found = ((results.get("pushes") or {}).get("largest") or {}).get(direction, ())
-    return math.nan if not found or None in found else float(min(found))
+    impulses = ((results.get("pushes") or {}).get("largest") or {}).get(direction, ())
+    return math.nan if not impulses or None in impulses else float(min(impulses))
 
 
 def table(results: Mapping[str, Any]) -> str:
     """Format the results as text: a line for each condition, then the pushes by phase."""
     lines = [f"{'':24}{'success':>9}{'return':>16}{'m/s':>8}{'m':>8}"]
-    for name, found in results["conditions"].items():
-        spread = f"{found['return_mean']:.1f} ± {found['return_std']:.1f}"
+    for name, means in results["conditions"].items():
+        spread = f"{means['return_mean']:.1f} ± {means['return_std']:.1f}"
         lines.append(
-            f"{name:24}{found['success_rate']:>9.2f}{spread:>16}{found['velocity_mean']:>8.3f}"
-            f"{found['distance_mean']:>8.2f}"
+            f"{name:24}{means['success_rate']:>9.2f}{spread:>16}{means['velocity_mean']:>8.3f}"
+            f"{means['distance_mean']:>8.2f}"
         )
     pushes, p = results["pushes"], results["perturbations"]
     if pushes is None:
@@ -153,8 +153,8 @@ def table(results: Mapping[str, Any]) -> str:
     for direction in DIRECTIONS:
         least = weakest(results, direction)
         if math.isfinite(least):
-            said = f"{_impulse(least, p['impulses'])} N s, {least / results['mass_kg']:.2f} m/s of its mass"
-            lines.append(f"{direction}, at the worst moment: {said}")
+            weakest_text = f"{_impulse(least, p['impulses'])} N s, {least / results['mass_kg']:.2f} m/s of its mass"
+            lines.append(f"{direction}, at the worst moment: {weakest_text}")
     if pushes["never_pushed"]:
         lines.append(f"{pushes['never_pushed']} robots fell before they could be pushed and do not count.")
     return "\n".join(lines)

@@ -76,12 +76,12 @@ class StackedLoss(compat.LossHooks):
         # The name of the action may still be changed, by set_keys; an actor's only output is no other's.
         action = self.tensor_keys.action if len(actor.out_keys) > 1 else actor.out_keys[0]  # type: ignore[attr-defined]
         outside = tuple(key for key in actor.out_keys if key != action)
-        found = [obstacle for critic in several for obstacle in obstacles(critic, outside)]
-        self.stacked = not found and not kernels.plain()
-        if found:
+        reasons = [obstacle for critic in several for obstacle in obstacles(critic, outside)]
+        self.stacked = not reasons and not kernels.plain()
+        if reasons:
             warnings.warn(
                 f"{type(self).__name__} evaluates its critics by TorchRL's vmap, which is slower than one batched "
-                f"module: {found[0]} (gctd3.nn.stacking).",
+                f"module: {reasons[0]} (gctd3.nn.stacking).",
                 PerformanceWarning,
                 stacklevel=3,
             )

@@ -73,13 +73,13 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
         action, seen = self._act("actor", tensordict, lambda: self.actor_network_params)
         if self.stacked:
             critic = self._copies.get("first critic", self.qvalue_network, lambda: self.qvalue_network_params.data[0])
-            value = found = values(critic, seen, {self.tensor_keys.action: action})
+            value = action_values = values(critic, seen, {self.tensor_keys.action: action})
         else:
-            found = self._values("detached critics", seen, lambda: self.qvalue_network_params.data, action)
-            value = found[0]
+            action_values = self._values("detached critics", seen, lambda: self.qvalue_network_params.data, action)
+            value = action_values[0]
         weights = priority_weight(self, tensordict)
         loss = reduce_loss(self, -value, tensordict, weights)
-        return loss, {"state_action_value_actor": found.detach()}
+        return loss, {"state_action_value_actor": action_values.detach()}
 
     def _of_critics(self, tensordict: TensorDictBase) -> Found:
         taken, following = tensordict.get(self.tensor_keys.action), self._following(tensordict)
@@ -130,5 +130,5 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
         if self.stacked:
             return values(self._copies.get(name, critics, params), inputs, replaced)
         seen = inputs.select(*critics.in_keys, strict=False).update(replaced)
-        found = vmapped_critics(self, seen.expand(self.num_qvalue_nets, *seen.batch_size), params())
-        return found.get(self.tensor_keys.state_action_value).squeeze(-1)
+        action_values = vmapped_critics(self, seen.expand(self.num_qvalue_nets, *seen.batch_size), params())
+        return action_values.get(self.tensor_keys.state_action_value).squeeze(-1)

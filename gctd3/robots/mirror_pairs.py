@@ -24,8 +24,8 @@ def swap_side(name: str, known: Collection[str]) -> str:
     ``hip_right`` and ``hip_left`` are a pair, and so are ``thigh`` and ``thigh_left``, ``rfemur`` and ``lfemur``.
     """
     for right, left in _SIDES:
-        for here, there in ((right, left), (left, right)):
-            swapped = re.sub(rf"(?<![a-zA-Z]){here}(?![a-zA-Z])", there, name)
+        for side, other in ((right, left), (left, right)):
+            swapped = re.sub(rf"(?<![a-zA-Z]){side}(?![a-zA-Z])", other, name)
             if swapped != name and swapped in known:
                 return swapped
     glued = {"r": "l", "l": "r", "R": "L", "L": "R"}.get(name[:1], name[:1]) + name[1:]
@@ -71,10 +71,10 @@ def count_reflected(model: mujoco.MjModel, joints: Sequence[Joint], lateral: np.
     return len(_pairs_by_place(model, joints, lateral))
 
 
-def reflected_sign(model: mujoco.MjModel, here: Joint, there: Joint, lateral: np.ndarray) -> float:
+def reflected_sign(model: mujoco.MjModel, joint: Joint, partner: Joint, lateral: np.ndarray) -> float:
     """Return +1 if equal angles of the two joints mirror each other, -1 if opposite ones do."""
     _, axes = _places(model, model.qpos0)
-    return 1.0 if float(_reflect_axis(axes[here.id], here, lateral) @ axes[there.id]) > 0.0 else -1.0
+    return 1.0 if float(_reflect_axis(axes[joint.id], joint, lateral) @ axes[partner.id]) > 0.0 else -1.0
 
 
 def unreflected(
@@ -96,13 +96,13 @@ def unreflected(
     places, axes = _places(model, zero)
     ids = {joint.name: joint.id for joint in joints}
     paired = [ids[name] for name, other in pairs.items() if other != name] or list(ids.values())
-    centre, near, found = places[paired].mean(axis=0), _near(places, joints), []
+    centre, near, unmatched = places[paired].mean(axis=0), _near(places, joints), []
     for joint in joints:
         other = ids[pairs[joint.name]]
         away = float(np.linalg.norm(_reflect_place(places[joint.id], centre, lateral) - places[other]))
         if away > near or not _along(_reflect_axis(axes[joint.id], joint, lateral), axes[other], joint):
-            found.append(joint.name)
-    return found
+            unmatched.append(joint.name)
+    return unmatched
 
 
 def _pairs_by_place(model: mujoco.MjModel, joints: Sequence[Joint], lateral: np.ndarray) -> dict[str, str]:

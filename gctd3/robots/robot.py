@@ -161,9 +161,9 @@ class Robot:
     def _joints_above(self, body: str) -> list[Joint]:
         index = self._bodies[body]
         while index:
-            found = [j for j in self.joints if self._bodies[j.body] == index]
-            if found:
-                return found
+            moving = [j for j in self.joints if self._bodies[j.body] == index]
+            if moving:
+                return moving
             index = int(self.model.body_parentid[index])
         return []
 
@@ -179,14 +179,14 @@ class Robot:
         Raises:
             RobotError: If a body has no ``<contact ... data="found"/>`` sensor.
         """
-        found = self._contact_sensors
-        missing = [body for body in bodies if body not in found]
+        sensors = self._contact_sensors
+        missing = [body for body in bodies if body not in sensors]
         if missing:
             raise RobotError(
                 f"{self.path} has no ground-contact sensor for {', '.join(missing)}; add for each "
                 '<sensor><contact body1="NAME" geom2="GROUND" data="found"/></sensor>.'
             )
-        return np.array([found[body] for body in bodies], dtype=np.int64)
+        return np.array([sensors[body] for body in bodies], dtype=np.int64)
 
     @property
     def other_contact_bodies(self) -> tuple[str, ...]:
@@ -195,12 +195,12 @@ class Robot:
 
     @cached_property
     def _contact_sensors(self) -> dict[str, int]:
-        model, found = self.model, {}
+        model, sensors = self.model, {}
         for i in range(model.nsensor):
             is_contact = model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT
             if is_contact and model.sensor_objtype[i] == mujoco.mjtObj.mjOBJ_BODY:
-                found[body_name(model, int(model.sensor_objid[i]))] = int(model.sensor_adr[i])
-        return found
+                sensors[body_name(model, int(model.sensor_objid[i]))] = int(model.sensor_adr[i])
+        return sensors
 
     # Mirror: reflection in the sagittal plane.
 
@@ -249,9 +249,9 @@ class Robot:
         Raises:
             RobotError: If a joint has an actuator and its mirror image has none.
         """
-        lonely = [name for name in self.actuated if self.mirror[name] not in self.actuated]
-        if lonely:
-            raise RobotError(f"{self.path}: the mirror image of {', '.join(lonely)} has no actuator.")
+        unpaired = [name for name in self.actuated if self.mirror[name] not in self.actuated]
+        if unpaired:
+            raise RobotError(f"{self.path}: the mirror image of {', '.join(unpaired)} has no actuator.")
         order = [self.actuated.index(self.mirror[name]) for name in self.actuated]
         sign = [self.mirror_sign(name) for name in self.actuated]
         return np.array(order), np.array(sign)

@@ -141,8 +141,8 @@ def table(report: dict[str, object]) -> str:
     lines += ["", f"Gait over the last {LAST_METRES:.0f} m of {gait['episodes']:.0f} episodes"]
     for key, value in gait.items():
         if key != "episodes":
-            said = f"{value:.4g}" if value is not None else why_missing(gait, key) if key in OF_STRIDES else "undefined"
-            lines.append(f"{key.replace('_', ' '):34}{said:>18}")
+            text = f"{value:.4g}" if value is not None else why_missing(gait, key) if key in OF_STRIDES else "undefined"
+            lines.append(f"{key.replace('_', ' '):34}{text:>18}")
     return "\n".join(lines)
 
 

@@ -48,15 +48,15 @@ class FeatureTable:
             nodes = [i for i, kind in enumerate(kinds) if kind == feature.kind]
             if not nodes:
                 continue
-            said = feature.readings(robot, tuple(graph.nodes[i] for i in nodes))
-            if len(said) != len(nodes) or len({len(row) for row in said}) != 1:
+            readings = feature.readings(robot, tuple(graph.nodes[i] for i in nodes))
+            if len(readings) != len(nodes) or len({len(row) for row in readings}) != 1:
                 raise ConfigError(
-                    f"task.features.{name} must say as many readings for each of {len(nodes)} nodes, got {said!r}."
+                    f"task.features.{name} must say as many readings for each of {len(nodes)} nodes, got {readings!r}."
                 )
-            width, start = len(said[0]), filled[feature.kind]
+            width, start = len(readings[0]), filled[feature.kind]
             filled[feature.kind] += width
             self._placed.append((name, feature, nodes, start, width))
-            for node, row in zip(nodes, said, strict=True):
+            for node, row in zip(nodes, readings, strict=True):
                 rows[node] += row
         self.width = max(map(len, rows))
         if not self.width:

@@ -31,14 +31,14 @@ class EpisodeMemory:
 
     def __init__(self, terms: Mapping[str, Term], commands: Mapping[str, Command], facts: RobotFacts) -> None:
         self.commands, self.facts = commands, facts
-        found: dict[str, tuple[str, Remembered]] = {}
+        requests: dict[str, tuple[str, Remembered]] = {}
         for where, term in terms.items():
             for one in term.remembers():
-                asked, known = found.setdefault(one.name, (where, one))
+                asked, known = requests.setdefault(one.name, (where, one))
                 if known != one or one.name == STEPS or one.name.startswith(COMMAND):
                     raise ConfigError(f"{where} and {asked} remember different things by the name {one.name!r}.")
-        self.remembered = {name: one for name, (_, one) in found.items()}
-        self.asked = {name: where for name, (where, _) in found.items()}
+        self.remembered = {name: one for name, (_, one) in requests.items()}
+        self.asked = {name: where for name, (where, _) in requests.items()}
 
     def begin(self, now: Measurement, rng: Generator | None = None) -> Memory:
         """Return the memory at the start of an episode; see :meth:`.SimulatedTask.begin`."""

@@ -43,11 +43,11 @@ PACKAGES = ("gctd3", "torch", "torchrl", "tensordict", "mujoco", "dm-control", "
 
 def versions(more: Iterable[str] = ()) -> dict[str, str]:
     """Return the versions of the packages that a result depends on, and of ``more``."""
-    found = {}
+    installed = {}
     for package in (*PACKAGES, *more):
         with contextlib.suppress(PackageNotFoundError):
-            found[package] = version(package)
-    return found
+            installed[package] = version(package)
+    return installed
 
 
 class Checkpoints:
@@ -101,8 +101,8 @@ class Checkpoints:
             RunError: If all are damaged, or they are of another format.
         """
         self._refuse_other_formats()
-        found = sorted(self.directory.glob("step-*"), reverse=True)
-        for path in found:
+        paths = sorted(self.directory.glob("step-*"), reverse=True)
+        for path in paths:
             try:
                 manifest = checked(path)
                 for part in manifest["replay"]:
@@ -113,8 +113,8 @@ class Checkpoints:
                 continue
             rows = ((part["start"], load_tree(self.directory / REPLAY / part["file"])) for part in manifest["replay"])
             return state, rows
-        if found:
-            raise RunError(f"All {len(found)} checkpoints in {self.directory} are damaged.")
+        if paths:
+            raise RunError(f"All {len(paths)} checkpoints in {self.directory} are damaged.")
         return None
 
     def best(self) -> Path:
@@ -124,11 +124,11 @@ class Checkpoints:
             RunError: If no policy has been written.
         """
         self._refuse_other_formats()
-        found = sorted(path for path in self.directory.glob("best-*") if (path / MANIFEST).is_file())
-        if not found:
+        paths = sorted(path for path in self.directory.glob("best-*") if (path / MANIFEST).is_file())
+        if not paths:
             raise RunError(f"No policy in {self.directory}: the run was stopped before its first evaluation.")
         # Two only if the one before was about to be dropped.
-        return found[-1]
+        return paths[-1]
 
     def forget_after(self, frames: int) -> None:
         """Delete checkpoints and policies later than ``frames``, damaged or not: continuing there makes them again."""

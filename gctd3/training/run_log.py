@@ -145,8 +145,8 @@ def make_logger(kind: str, directory: Path) -> Logger | None:
         if kind not in ("wandb", "mlflow"):
             raise
         # Theirs share no base class: no account, no server.
-        said = str(error).strip() or type(error).__name__
-        raise ConfigError(f"logger={kind} cannot begin: {said.splitlines()[0]}") from error
+        reason = str(error).strip() or type(error).__name__
+        raise ConfigError(f"logger={kind} cannot begin: {reason.splitlines()[0]}") from error
 
 
 def _mlflow(directory: Path) -> Logger:

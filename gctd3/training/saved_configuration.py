@@ -154,8 +154,8 @@ def _composed(root: str, overrides: list[str]) -> tuple[DictConfig, list[str]]:
     try:
         return compose(root, overrides), overrides
     except MissingConfigException:
-        found = [item for item in overrides if chooses(item) is None or ships(item)]
-        return compose(root, found), found
+        kept = [item for item in overrides if chooses(item) is None or ships(item)]
+        return compose(root, kept), kept
 
 
 def command_line(run: Path) -> list[str]:
@@ -179,15 +179,15 @@ def _harmless(key: str) -> bool:
 
 def flat(config: DictConfig, prefix: str = "") -> dict[str, object]:
     """Return the values of a configuration by their dotted path; lists count as values."""
-    found: dict[str, object] = {}
+    values: dict[str, object] = {}
     for key in map(str, config):
         mapping = stored_mapping(config, key)
         if mapping is not None:
-            found |= flat(mapping, f"{prefix}{key}.")
+            values |= flat(mapping, f"{prefix}{key}.")
         else:
             value = config[key]
-            found[f"{prefix}{key}"] = OmegaConf.to_container(value) if OmegaConf.is_config(value) else value
-    return found
+            values[f"{prefix}{key}"] = OmegaConf.to_container(value) if OmegaConf.is_config(value) else value
+    return values
 
 
 def _unusable(file: Path, error: Exception) -> RunError:

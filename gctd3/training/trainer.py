@@ -81,8 +81,8 @@ class Trainer:
         self.evaluation_env = build_env(
             task.with_reward(settings.evaluation.reward), evaluated, settings.evaluation.seed
         )
-        said = {"graph": {"nodes": setup.graph.nodes, "edges": setup.graph.edges}, **(about or {})}
-        self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, said)
+        manifest = {"graph": {"nodes": setup.graph.nodes, "edges": setup.graph.edges}, **(about or {})}
+        self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, manifest)
         self.log = RunLog(directory, settings.logger)
         self.counters = Counters(next_evaluation=self._first_evaluation)
         self.best: dict[str, float] | None = None
@@ -235,12 +235,12 @@ class Trainer:
         Raises:
             RunError: If all are damaged or do not fit the settings.
         """
-        found = self.checkpoints.newest()
-        if found is None:
+        newest = self.checkpoints.newest()
+        if newest is None:
             self.checkpoints.forget_after(-1)
             self.log.restore([], -1)
             return False
-        state, rows = found
+        state, rows = newest
         path = self.checkpoints.directory
         fit(path, lambda: self.replay.load_state_dict(state.pop("replay"), rows))
         fit(path, lambda: self.load_state_dict(state))
@@ -274,17 +274,17 @@ class Trainer:
     def _post_mortem(self, error: NumericalError, seen: Mapping[str, TensorDictBase]) -> NumericalError:
         """Save the data needed to find the cause, and return the error that says where they are."""
         target = self.directory / POST_MORTEM
-        said = f"After {self.counters.frames:,} steps and {self.counters.updates:,} updates, {error}."
+        message = f"After {self.counters.frames:,} steps and {self.counters.updates:,} updates, {error}."
         if target.exists():
-            return NumericalError(f"{said} {target} holds what an earlier one left.")
+            return NumericalError(f"{message} {target} holds what an earlier one left.")
         with new_directory(target) as aside:
             for name, batch in seen.items():
                 save_tree(aside / f"{name}.safetensors", batch.to_dict())
             save_tree(aside / STATE, self.state_dict())
-            write_manifest(aside, {"error": said})
+            write_manifest(aside, {"error": message})
         advice = "try a lower algo.learning_rate" if self.counters.updates else "look for it in the terms of the task"
         return NumericalError(
-            f"{said} The last batch and the whole state are in {target} (gctd3.files.load_tree reads them). "
+            f"{message} The last batch and the whole state are in {target} (gctd3.files.load_tree reads them). "
             f"The newest checkpoint is of an earlier moment; {advice}."
         )
 

@@ -229,7 +229,7 @@ class Panel:
             [("height", f"{now.height:+.3f} m"), ("reward", f"{now.reward:.2f}")],
             [("return", f"{now.total:.0f}")],
         ]
-        cells = ["".join(f"<td>{key}</td><td class='{key}'><b>{said}</b></td>" for key, said in row) for row in rows]
+        cells = ["".join(f"<td>{key}</td><td class='{key}'><b>{text}</b></td>" for key, text in row) for row in rows]
         style = "margin: 0 0.6em; border-spacing: 0.7em 0; font-size: 0.85em; font-variant-numeric: tabular-nums"
         table = f"<table id='status' style='{style}'>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
         return table + (f"<p style='color:#c0392b'>{html.escape(self._said)}</p>" if self._said else "")

@@ -57,12 +57,12 @@ def _conditions(ax: Axes, groups: Groups) -> None:
     width = 0.8 / len(groups)
     for i, (group, colour) in enumerate(colours(list(groups)).items()):
         for row, name in enumerate(names):
-            found = [r["conditions"][name]["success_rate"] for r in groups[group] if name in r["conditions"]]
-            if found:
+            rates = [r["conditions"][name]["success_rate"] for r in groups[group] if name in r["conditions"]]
+            if rates:
                 place = row - 0.4 + width * (i + 0.5)
                 label = group if row == 0 and group else None
-                ax.barh(place, np.mean(found), height=0.85 * width, color=colour, label=label)
-                ax.plot(found, [place] * len(found), "|", color=INK, ms=4, alpha=0.6)
+                ax.barh(place, np.mean(rates), height=0.85 * width, color=colour, label=label)
+                ax.plot(rates, [place] * len(rates), "|", color=INK, ms=4, alpha=0.6)
     ax.set(xlim=(0, 1.02), yticks=range(len(names)), ylim=(len(names) - 0.4, -0.6))
     ax.set_yticklabels(names)
     ax.set_xlabel("share of episodes that reach the finish")
@@ -97,8 +97,8 @@ def _pushes(ax: Axes, groups: Groups) -> None:
 
 def _largest(results: Sequence[Mapping[str, Any]], direction: str) -> np.ndarray | None:
     """Return the mean over the policies with a result, shape ``[phases]``; another number of phases is left out."""
-    found = [r["pushes"]["largest"][direction] for r in results if r.get("pushes")]
-    rows = [np.array([np.nan if value is None else value for value in row], dtype=float) for row in found]
+    impulses = [r["pushes"]["largest"][direction] for r in results if r.get("pushes")]
+    rows = [np.array([np.nan if value is None else value for value in row], dtype=float) for row in impulses]
     rows = [row for row in rows if len(row) == len(rows[0]) and np.isfinite(row).any()]
     if not rows:
         return None

@@ -52,13 +52,13 @@ def test_help_has_every_key_with_its_default_and_what_it_means(command):
     said = help_of(command)
     for name, value in expected.items():
         assert told[name].value == "..." if value == "???" else yaml.safe_load(told[name].value) == value
-        assert len(told[name].said) > 10 and f"  {name}={told[name].value}" in said
+        assert len(told[name].meaning) > 10 and f"  {name}={told[name].value}" in said
     offered = {choice.name: choice for choice in choices(command)}
     assert set(offered) == {name for name in defaults if not name.startswith("override")}
     for name, choice in offered.items():
         assert choice.value == str(defaults[name] or "null")
         options = sorted(path.stem for path in (FILES / name.split("@")[0]).glob("*.yaml"))
-        assert choice.said.split(": ")[-1] == ", ".join(options)
+        assert choice.meaning.split(": ")[-1] == ", ".join(options)
 
 
 def test_the_reference_is_up_to_date():
