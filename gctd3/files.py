@@ -45,7 +45,7 @@ def save_tree(path: Path, tree: Any) -> str:  # noqa: ANN401 - any nesting
     try:
         save_file(tensors, str(path), metadata={TREE: json.dumps(structure)})
     except SafetensorError as error:
-        # It hides the number of the system's error in a text.
+        # safetensors gives the system's error as text, without its number.
         full = "No space left" in str(error)
         raise OSError(errno.ENOSPC if full else errno.EIO, os.strerror(errno.ENOSPC) if full else str(error)) from error
     _flush(path)

@@ -16,10 +16,10 @@ def main() -> None:
     """Run ``python -m gctd3.train``."""
     resumed = [argument.split("=", 1)[1] for argument in sys.argv[1:] if argument.startswith("resume=")]
     if resumed and resumed[-1] not in ("null", ""):
-        # Hydra's own directory is the run's, so that nothing is written elsewhere; nor made if there is no run.
+        # Hydra writes to the run's directory, so that no other one is made; without a run it makes none.
         exists = (Path(resumed[-1]) / CONFIG).is_file()
         if exists:
-            # A damaged file is told of once Hydra runs.
+            # A damaged file is reported once Hydra runs.
             with contextlib.suppress(RunError):
                 sys.argv[1:1] = choices(Path(resumed[-1]), sys.argv[1:])
         sys.argv.append(f"hydra.run.dir='{resumed[-1] if exists else '.'}'")

@@ -20,7 +20,7 @@ def check_keep(runs: Path, out: Path) -> None:
     """Refuse to copy runs to a path that exists already, or to one where the next report would find them twice.
 
     Raises:
-        RunError: If so.
+        RunError: If the path exists already, or lies below ``runs``.
     """
     if (out / FOLDER).exists():
         raise RunError(f"{out / FOLDER} exists already: remove it, or choose another out, for keep_runs=true.")

@@ -26,7 +26,7 @@ def check_together(runs: Sequence[Run]) -> None:
     """Refuse runs whose numbers are not comparable.
 
     Raises:
-        RunError: If they differ in robot, task, evaluation reward or terminations; it says which, and in what.
+        RunError: If they differ in robot, task, evaluation reward or terminations; the message lists how.
     """
     problems = []
     for what, keys in TOGETHER.items():
@@ -69,7 +69,7 @@ def check_episodes(runs: Sequence[Run], settings: EpisodeSettings) -> None:
         settings: Settings for the runs that have no evaluation yet.
 
     Raises:
-        RunError: If there are such; it says which, and how to evaluate them alike.
+        RunError: If some were; the message names them, and how to evaluate them alike.
     """
     by_episodes: dict[Episodes, list[Run]] = {}
     for run in runs:
@@ -115,7 +115,7 @@ def check_seeds(groups: Mapping[str, Sequence[Run]]) -> None:
     """Refuse groups that contain a seed twice, which would count as two seeds.
 
     Raises:
-        RunError: If there is one; it says which, and where.
+        RunError: If a group contains a seed twice; the message names the runs.
     """
     problems = []
     for group, runs in groups.items():

@@ -26,10 +26,10 @@ def stride_of(run: Run, robot: Robot, camera: str = "side") -> tuple[list[tuple[
         The pictures with the time and place of each, what they show, and a caption.
 
     Raises:
-        RenderError: If it cannot be drawn, whatever the reason.
+        RenderError: If the stride cannot be drawn, whatever the reason.
     """
     if not (run.directory / FOLDER).is_dir():
-        raise RenderError(f"Of {run.name} there are numbers only, no policy.")
+        raise RenderError(f"{run.name} has numbers only, no policy.")
     try:
         loaded = load_run(run.directory)
         task = loaded.task("film")

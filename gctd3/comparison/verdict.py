@@ -240,7 +240,7 @@ def _at_limit(groups: Mapping[str, Sequence[Run]], limit: Limit | None) -> list[
         if len(known) < len(groups[group]):
             late = f"{len(groups[group]) - len(known)} of {len(groups[group])} seeds"
             sentences.append(
-                f"{group}: {late} had evaluated no policy after {limit.text}; what is said of then leaves them out."
+                f"{group}: {late} had evaluated no policy after {limit.text}; comparisons at that time leave them out."
             )
     for key in COMPUTING:
         values = {group: sorted({str(run.config.get(key)) for run in runs}) for group, runs in groups.items()}

@@ -27,8 +27,8 @@ from gctd3.compat import own_launcher
 from gctd3.config.help import CONF, asks_for_help, check_installed, command_of, conf, fail, help_of
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
 
-INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
-UNREAD = 141  # and of one whose output nobody reads
+INTERRUPTED = 130  # exit code that shells report for a program ended by Ctrl-C
+UNREAD = 141  # exit code that shells report for a program whose output nobody reads
 _JOBLIB = ("hydra/launcher", "joblib")  # an option only where the plugin is installed
 _WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException)
 _USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError)
@@ -48,7 +48,7 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
     sys.argv[1:] = map(_robot_file, _together(sys.argv[1:]))
     # A launcher's plug-in has settings of the same name as ours in conf/, on purpose.
     warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/", category=UserWarning)
-    # Hydra would print and exit; this way its errors come here, to be said in the library's words.
+    # Makes Hydra raise its errors, which are reported below in the library's words, instead of printing and exiting.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
         hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
@@ -60,7 +60,7 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
     except _USER_ERRORS as error:
         fail(explain(error, config))
     except (AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
-        # Hydra's own, of a group given a value that is no option; a fault of the task itself keeps its traceback.
+        # Hydra raises these for a value that is not an option of its group; the task's own errors keep their traceback.
         if _raised_by_the_task(error):
             raise
         fail(f"The arguments cannot be combined: {error or type(error).__name__}")
@@ -116,7 +116,7 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
         except _USER_ERRORS as error:
             _refuse(error, config)
         except RuntimeError as error:
-            # PyTorch's way to say that memory is short.
+            # PyTorch reports a lack of memory as a RuntimeError.
             if "alloc" not in str(error) and "out of memory" not in str(error):
                 raise
             _refuse(MemoryError(str(error).splitlines()[0]), config)
@@ -131,17 +131,17 @@ def _refuse(error: Exception, config: str) -> NoReturn:
     _remove_empty(directory)
     message, sweeping = explain(error, config), hydra_config.mode is RunMode.MULTIRUN
     if sweeping and not isinstance(error, _WRONG_SETTINGS):
-        # The sweep itself fails at its end.
+        # The sweep continues with its other runs, and fails at its end.
         print(f"error: {directory}: {message}", file=sys.stderr, flush=True)
-        raise RunError(f"{directory} failed, as was said when it did; the other runs went on.") from None
+        raise RunError(f"{directory} failed, with the message printed above; the other runs went on.") from None
     if sweeping and not own_launcher(hydra_config.launcher):
-        raise RunError(message) from None  # for the process that started the sweep to say
+        raise RunError(message) from None  # reported by the process that started the sweep
     fail(message)
 
 
 def _unread() -> NoReturn:
     """End the program silently: the reader of its output (``| head``) has closed it."""
-    # Python writes what it still holds when it ends, and would complain.
+    # At its exit Python flushes its buffers, and would report the closed pipe.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     raise SystemExit(UNREAD)
 

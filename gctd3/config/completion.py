@@ -77,7 +77,7 @@ def _add(config: DictConfig, defaults: dict[str, Any]) -> None:
                 config[key] = default
                 continue
             inner = _inner(config, key)
-            # Settings inside of settings, of which a YAML gives some keys and leaves the class as it is.
+            # Nested settings: the YAML gives some of their keys, and not their class.
             nested = isinstance(default, dict) and TARGET in default
             if nested and isinstance(inner, DictConfig) and not _says(inner, TARGET):
                 _add(inner, default)

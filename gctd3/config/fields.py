@@ -43,7 +43,7 @@ class Setting:
     meaning: str
 
 
-def find(target: str) -> Any:  # noqa: ANN401 - whatever has that name
+def find(target: str) -> Any:  # noqa: ANN401 - any object
     """Import the object that a ``_target_`` names.
 
     Raises:
@@ -52,7 +52,7 @@ def find(target: str) -> Any:  # noqa: ANN401 - whatever has that name
     module, _, name = str(target).rpartition(".")
     try:
         return getattr(import_module(module), name)
-    except Exception as error:  # what a module raises is its own
+    except Exception as error:  # a module may raise anything
         raise ImportError(str(error)) from error
 
 

@@ -103,7 +103,7 @@ def changes(text: str) -> Iterator[Change]:
     lines = text.splitlines()
     path: list[str] = []
     above: list[str] = []
-    goes_on = head = True  # whether the line before was a comment too; whether nothing but the file's own was read
+    goes_on = head = True  # the line before was a comment too; only the file's own comment was read so far
     for line in lines:
         if line.strip().startswith("#"):
             above, goes_on = [*above, line.strip("# ")] if goes_on else [line.strip("# ")], True

@@ -111,7 +111,7 @@ def _told(preset: Preset, options: list[Preset]) -> str:
     defaults = {row.name: row.setting.default for row in rows(settings, prefix=prefix)} if settings else {}
     for change in preset.changes:
         name = f"{prefix}{change.key}"
-        # A key that is given as it is by default is no change, unless it takes one back.
+        # A key with its default value is not a change, unless it undoes a change of the option's base.
         if preset.base is None and name in defaults and defaults[name] == change.value:
             continue
         parts.append(f"<br>`{name}={written(change.value)}`" + (f": {change.why}" if change.why else ""))

@@ -46,9 +46,9 @@ class Rhythm(torch.nn.Module):
 
     OFFSET = 0.5  # largest, of a joint's half range
     AMPLITUDE = (0.1, 1.0)  # smallest and largest, of a joint's half range
-    NOISE = 0.1  # standard deviation of what is added to the sines
+    NOISE = 0.1  # standard deviation of the noise on the sines
     RIVALS = 4  # robots of whom the one that got farthest is a parent
-    # Standard deviations of what is added to a parent's numbers: of a joint's half range, of a period, in Hz.
+    # Standard deviations of mutations: in a joint's half range, in a period, in Hz.
     MUTATION: Mapping[str, float] = {"offset": 0.1, "amplitude": 0.1, "phase": 0.04, "frequency": 0.1}
 
     def __init__(
@@ -57,7 +57,7 @@ class Rhythm(torch.nn.Module):
         super().__init__()
         partner = torch.from_numpy(robot.action_mirror[0])
         own = torch.arange(len(partner))
-        # Of each pair the joint that the robot lists first leads, the other lags by half a period.
+        # In each pair the joint that the robot lists first leads, and the other lags by half a period.
         self.register_buffer("leader", torch.minimum(own, partner))
         self.register_buffer("lag", 0.5 * (own > partner))
         self.register_buffer("sign", torch.where(own > partner, torch.from_numpy(robot.action_mirror[1]), 1.0).float())

@@ -58,7 +58,7 @@ class ProcessWorker(Worker):
                 use_buffers=True,
                 trust_policy=True,
                 auto_register_policy_transforms=False,
-                # It sets the learner's threads too.
+                # TorchRL's collector sets the learner's number of threads too.
                 num_threads=torch.get_num_threads(),
                 num_sub_threads=job.cpus,
                 weight_sync_schemes={"policy": _Scheme()},
@@ -80,7 +80,7 @@ class ProcessWorker(Worker):
     def kill(self) -> None:
         """End the process at once."""
         for process in self._collector.procs:
-            with contextlib.suppress(ValueError):  # it is closed
+            with contextlib.suppress(ValueError):  # the process is closed already
                 process.kill()
         self.close()
 
@@ -88,4 +88,4 @@ class ProcessWorker(Worker):
         """Let the process end."""
         threads = torch.get_num_threads()
         self._collector.shutdown(timeout=10.0, raise_on_error=False)
-        torch.set_num_threads(threads)  # it gives the learner those of its worker
+        torch.set_num_threads(threads)  # shutdown sets the learner's number to the worker's

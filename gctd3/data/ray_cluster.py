@@ -45,7 +45,7 @@ def _connect(address: str | None) -> None:
         return
     if address is not None and address != "auto":
         _check_answers(address)
-    # In a thread: Ray tries for minutes to talk to what is no cluster, and in the main one would take over SIGTERM.
+    # In a thread: Ray tries for minutes to reach a missing cluster, and in the main thread would take over SIGTERM.
     # The thread stays, for a cluster that is started here ends with it.
     joined = in_thread(
         lambda: ray.init(
@@ -120,7 +120,7 @@ def _on_nodes(nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-    def probe(packages: Sequence[str]) -> dict[str, str]:  # sent by value: gctd3 may be what is missing there
+    def probe(packages: Sequence[str]) -> dict[str, str]:  # sent by value: gctd3 may be missing on the node
         import contextlib
         from importlib.metadata import PackageNotFoundError, version
 

@@ -42,7 +42,7 @@ def task_state(task: Any, model: mujoco.MjModel, data: mujoco.MjData) -> dict[st
     """
     return {
         "integration": integration_state(model, data),
-        # Rewards may read what was derived before the last integration, so it is not derived anew.
+        # Rewards may read values derived before the last integration, so these are kept and not recomputed.
         "derived": _joined(_derived(model, data)),
         "model": _joined(_movable(model)),
         "layers": [_attributes(layer) for layer in _layers(task)],
@@ -73,7 +73,7 @@ def load_task_state(task: Any, model: mujoco.MjModel, data: mujoco.MjData, state
 def _layers(task: Any) -> Iterator[Any]:  # noqa: ANN401
     """Yield the objects that hold the task's memory, from the outside in."""
     if hasattr(task, "physics"):
-        # What the suite wraps around a task passes its questions on, and remembers nothing itself.
+        # The suite's wrappers pass attribute access on to the task, and hold no state.
         while (inner := wrapped_env(task)) is not None:
             task = inner
         yield from (task, task.task)

@@ -221,7 +221,7 @@ def simulator(env: EnvBase) -> tuple[mujoco.MjModel, mujoco.MjData]:
     Raises:
         ConfigError: If there is no MuJoCo simulator, or more than one.
     """
-    # A transformed environment would pass these questions on.
+    # A transformed environment would pass attribute access on to the environment inside it.
     inner: Any = None if isinstance(env, TransformedEnv) else wrapped_env(env)
     if physics := getattr(inner, "physics", None):
         return physics.model.ptr, physics.data.ptr

@@ -30,7 +30,7 @@ def altered(robot: Robot, mass: float = 1.0, friction: float = 1.0) -> Robot:
     model.body_inertia[bodies] *= mass
     model.geom_friction[:] *= friction
     model.pair_friction[:] *= friction
-    # What MuJoCo has derived from the masses is derived anew.
+    # Recompute the constants that MuJoCo derives from the masses.
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return replace(robot, model=model)
 

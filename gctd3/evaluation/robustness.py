@@ -163,7 +163,7 @@ def table(results: Mapping[str, Any]) -> str:
 def _impulse(value: float | None, impulses: Sequence[float]) -> str:
     if value is None:
         return "-"
-    # The largest that was tried is a bound.
+    # The largest impulse that was tried is a lower bound.
     return f"{'≥ ' if value >= impulses[-1] else ''}{value:g}"
 
 

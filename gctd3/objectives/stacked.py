@@ -35,7 +35,7 @@ class Networks:
             held, given = copy.deepcopy(network), params()
             given.to_module(held)
             if not any(value.requires_grad for value in given.values(True, True)):
-                # Or the module would make parameters of them, and a loss collect gradients that nobody reads.
+                # Otherwise the module would turn them into parameters, and collect gradients that nobody reads.
                 held.requires_grad_(False)
             self._held[name] = held
         return self._held[name]
@@ -73,7 +73,7 @@ class StackedLoss(compat.LossHooks):
         """
         self._copies = Networks()
         several = critics if isinstance(critics, (list, tuple)) else [critics]
-        # The name of the action may still be changed, by set_keys; an actor's only output is no other's.
+        # set_keys may still change the action's name; the only output of an actor is its action.
         action = self.tensor_keys.action if len(actor.out_keys) > 1 else actor.out_keys[0]  # type: ignore[attr-defined]
         outside = tuple(key for key in actor.out_keys if key != action)
         reasons = [obstacle for critic in several for obstacle in obstacles(critic, outside)]

@@ -125,7 +125,7 @@ def root_body(model: mujoco.MjModel, file: Path) -> int:
     Beside a robot, a body with one free joint and no other joint, such as a ball, is scenery.
 
     Raises:
-        RobotError: If there is none, or more than one.
+        RobotError: If no body qualifies, or more than one.
     """
     trees = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0]
     joints = {b: sum(int(model.body_jntnum[c]) for c in bodies_below(model, b)) for b in trees}
@@ -158,7 +158,7 @@ def read_joints(model: mujoco.MjModel, root: int, file: Path) -> list[Joint]:
     """Read all joints of the robot outside its base, in the MJCF's order; joints of one body form a chain.
 
     Raises:
-        RobotError: If there is none.
+        RobotError: If the robot has no joint outside its base.
     """
     joints: list[Joint] = []
     last_on_body: dict[int, str] = {}

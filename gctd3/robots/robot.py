@@ -121,7 +121,7 @@ class Robot:
         """Return the joint with a given name.
 
         Raises:
-            RobotError: If there is none; the message lists those there are.
+            RobotError: If no joint has this name; the message lists the joints.
         """
         for joint in self.joints:
             if joint.name == name:

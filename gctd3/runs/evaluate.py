@@ -131,7 +131,7 @@ def table(report: dict[str, object]) -> str:
         text = form.format(values[key])
         return f"{text} ± {form.format(values[spread])}" if spread else text
 
-    # The paper has nothing to say of a library's task.
+    # The paper has no numbers for a library's task.
     paper: dict[str, object] = {} if "task" in report else {**PAPER, "episodes": 50}
     for label, key, form, spread in rows:
         lines.append(f"{label:34}{cell(report, key, form, spread):>18}{cell(paper, key, form, spread):>18}")

@@ -192,7 +192,7 @@ class SimulatedTask:
             position=place["forward"],
             height=place["height"],
             velocity=np.asarray(read["forward"][1]),
-            # Not by indexing, whose results lie in another order than those of a checkpoint: sums would differ by bits.
+            # Indexing would give another memory layout than a checkpoint has, and sums would differ in their last bits.
             angles=qpos.take(self._qpos, axis=-1),
             velocities=qvel.take(self._qvel, axis=-1),
             feet_down=sensordata.take(self._feet, axis=-1) > 0,

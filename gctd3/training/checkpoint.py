@@ -98,7 +98,7 @@ class Checkpoints:
         A damaged one is passed over, with a line on stderr.
 
         Raises:
-            RunError: If all are damaged, or they are of another format.
+            RunError: If all checkpoints are damaged, or have another format.
         """
         self._refuse_other_formats()
         paths = sorted(self.directory.glob("step-*"), reverse=True)

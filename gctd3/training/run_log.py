@@ -73,7 +73,7 @@ class RunLog:
         write_animation(path, iter(frames), fps)
         if self._logger is None:
             return
-        # TorchRL's own ways need moviepy or torchcodec to make a video of tensors; this one is made.
+        # TorchRL's log_video needs moviepy or torchcodec to encode tensors; this video is encoded already.
         if self.kind == "tensorboard":
             from tensorboard.compat.proto.summary_pb2 import Summary
 
@@ -105,7 +105,7 @@ class RunLog:
         elif self.kind == "tensorboard" and self._logger is not None:
             from tensorboard.compat.proto.event_pb2 import Event, SessionLog
 
-            # TensorBoard drops what earlier files say of later steps.
+            # TensorBoard drops values of later steps from earlier files.
             again = Event(step=frames + 1, session_log=SessionLog(status=SessionLog.START))
             self._logger.experiment.file_writer.add_event(again)
 

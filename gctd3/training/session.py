@@ -29,9 +29,9 @@ def train(config: DictConfig) -> float:
     """
     stop = StopRequest(stop_file())
     if stop.file is not None:
-        # Beside other runs of a sweep, which is not to end with the first of them.
+        # One of several runs of a sweep side by side: its end must not end the sweep's process.
         return math.nan if stop else _value(_train(config, stop))
-    # From the start: an import that a signal broke off would look like a missing package.
+    # Listen before the imports: one that a signal interrupts would look like a missing package.
     with stop.listening():
         best = _train(config, stop)
     if stop:

@@ -49,7 +49,7 @@ class Panel:
     ) -> None:
         self.server, self.runs, self.seed = server, list(runs), seed
         self._load = load
-        # Browsers' wishes come from threads of their own; the walk belongs to the one that runs it.
+        # Browsers' requests arrive in threads of their own; only the thread that runs the walk may change it.
         self._wishes: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self.paused, self.speed, self._said = False, 1.0, ""
         server.gui.configure_theme(control_layout="collapsible", control_width="large", show_share_button=False)
@@ -215,7 +215,7 @@ class Panel:
     def _mark(self, metre: int) -> tuple[viser.SceneNodeHandle, ...]:
         forward, side, up = self.live.robot.base.frame
         place = self._origin + metre * forward + 2e-3 * up
-        # Below the ground's own node, which moves when the camera follows.
+        # Children of the ground's scene node, which moves when the camera follows.
         name, ends = f"/fixed_bodies/metre_{metre}", np.stack([place - 0.6 * side, place + 0.6 * side])
         line = self.server.scene.add_line_segments(f"{name}/line", ends[None], (60, 64, 72), thickness=0.02)
         words = self.server.scene.add_label(f"{name}/words", f"{metre} m", position=place - 0.7 * side)
@@ -241,6 +241,6 @@ class Panel:
         robot, joints = self.live.robot, [joint.name for joint in self.live.robot.joints]
         for leg, plot in zip(robot.legs, self._plots, strict=True):
             plot.data = (table[:, 0], *(table[:, 1 + joints.index(joint.name)] for joint in leg))
-        # One above the other.
+        # The feet's contacts, one above the other.
         feet = table[:, 1 + len(joints) :]
         self._contacts.data = (table[:, 0], *(1.5 * i + feet[:, i] for i in range(feet.shape[1])))

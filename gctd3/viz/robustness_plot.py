@@ -86,7 +86,7 @@ def _pushes(ax: Axes, groups: Groups) -> None:
                 marker="o",
                 ms=3,
                 lw=1.6,
-                # Of many groups the colour says whose a line is, its dashes where to.
+                # With several groups the colour stands for the group, and dashes for the backward direction.
                 label=direction if len(groups) == 1 else group if sign > 0 else None,
             )
     ax.set(xlabel="part of the stride since a touchdown of the first foot", ylabel="impulse survived, N s")
