@@ -114,14 +114,14 @@ NAMES = {a: b for pair in CALLED for a, b in (pair, pair[::-1])}
 
 @dataclass(frozen=True)
 class Site:
-    """A place in a file and what is put there.
+    """Describe a place in a file and its replacement.
 
     Attributes:
-        key: Where it is and what is done, in words that do not depend on the file and its lines.
-        kind: What is done.
-        line: Of the file as it is.
+        key: Place and change, in words that do not depend on the file and its lines.
+        kind: Kind of the change.
+        line: Line in the unchanged file.
         span: Start and end, bytes.
-        text: What is put there.
+        text: Replacement for it.
     """
 
     key: str
@@ -216,7 +216,7 @@ def sites(source: str) -> list[Site]:
 
 
 def children(node: ast.AST) -> Iterable[ast.AST]:
-    """What of a node is looked into."""
+    """Return the children of a node that are visited."""
     if isinstance(node, (ast.JoinedStr, ast.Raise, ast.Import, ast.ImportFrom, ast.Assert)):
         return []
     if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
@@ -247,7 +247,7 @@ class Tree:
 
     Args:
         name: For the table.
-        root: Of the checkout.
+        root: Directory of the checkout.
         python: An interpreter for its tests.
     """
 
@@ -282,7 +282,7 @@ class Tree:
         shutil.rmtree(self.copy, ignore_errors=True)
 
     def environment(self) -> dict[str, str]:
-        """Of the tests: the copy before what is installed, and no compiled file of a mutant that outlives it."""
+        """Return the tests' environment: the copy comes before the installed package, and no bytecode is written."""
         return {**os.environ, "PYTHONPATH": str(self.copy / "site"), "PYTHONDONTWRITEBYTECODE": "1"}
 
     def read(self, pattern: str) -> dict[str, dict[str, Site]]:
@@ -349,7 +349,7 @@ class Tree:
         return "killed", named[0] if named else out.strip().splitlines()[-1][:200]
 
     def evaluate(self, file: str, site: Site, full: bool, timeout: float) -> dict[str, Any]:
-        """What the tests make of one mutant."""
+        """Run the tests on one mutant and return the outcome."""
         target = self.copy / file
         source = target.read_text(encoding="utf-8")
         near = self.tests_of(file)
@@ -386,7 +386,7 @@ class Tree:
 
 
 def draw(trees: list[Tree], groups: Iterable[str], count: int, seed: int) -> list[dict[str, Any]]:
-    """As many mutants of each group, in turn, of what is alike in all trees."""
+    """Draw equally many mutants of each group, in turn, from the code that all trees share."""
     generator, decks = random.Random(seed), {}
     first, *others = trees
     for group in groups:

@@ -137,17 +137,17 @@ class StockRecipe:
         init_random_frames: Collected with random actions; learning starts after them.
         frames_per_batch: Collected at once, followed by as many updates times ``utd_ratio``.
         utd_ratio: Updates for each frame.
-        size: Of the replay buffer.
-        batch_size: Of an update.
+        size: Size of the replay buffer.
+        batch_size: Transitions of an update.
         gamma: Discount factor.
-        lr: Of Adam.
-        adam_eps: Of Adam.
+        lr: Learning rate of Adam.
+        adam_eps: Epsilon of Adam.
         target_update_polyak: Share of the targets that stays at each update of them.
         policy_update_delay: Critic updates for each update of the actor and the targets.
-        policy_noise: Of the target's actions.
+        policy_noise: Standard deviation of the noise on the target's actions.
         noise_clip: Largest size of that noise.
-        hidden_sizes: Of actor and critics, with ReLU.
-        std: Of the exploration noise.
+        hidden_sizes: Layers of actor and critics, with ReLU.
+        std: Standard deviation of the exploration noise.
         prefetch: Batches that a thread prepares.
     """
 
@@ -256,7 +256,7 @@ def minimize(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
 
 
 def versions(peer: str) -> dict[str, str]:
-    """Of the peer's package and what it stands on."""
+    """Return the versions of the peer's package and its dependencies."""
     from importlib.metadata import version
 
     names = {"torchrl": ("torchrl", "torch"), "sb3": ("stable-baselines3", "torch"), "sbx": ("sbx-rl", "jax")}

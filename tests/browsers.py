@@ -1,4 +1,4 @@
-"""A headless Chromium for tests of pages, which are skipped where there is none or no Playwright."""
+"""Start a headless Chromium for tests of pages; without Playwright or Chromium they are skipped."""
 
 import contextlib
 import shutil

@@ -1,5 +1,4 @@
-"""What the tests share: the paper's robot, its graph and its task, finished runs, and settings that make every run the
-same."""
+"""Fixtures for all tests: the paper's robot, its graph and its task, finished runs, and reproducible settings."""
 
 import pytest
 import torch
@@ -40,7 +39,7 @@ def task(robot):
 
 @pytest.fixture(scope="session")
 def finished(request, tmp_path_factory):
-    """Finished tiny runs by name: ``finished["gctd3"]`` to be read, ``finished.copy("gctd3", to)`` to be changed."""
+    """Provide finished tiny runs by name: ``finished["gctd3"]`` to read, ``finished.copy("gctd3", to)`` to change."""
     folder = tmp_path_factory.getbasetemp()
     # The processes of pytest-xdist have folders of their own in the session's.
     folder = folder.parent if hasattr(request.config, "workerinput") else folder
@@ -55,7 +54,7 @@ def _shared_runs_are_left_alone(finished):
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory):
-    """The ONNX file of the policy that ships with the library; its contract is beside it."""
+    """Return the ONNX file of the policy that ships with the library; its contract is beside it."""
     pytest.importorskip("onnxscript")
     pytest.importorskip("onnxruntime")
     file = tmp_path_factory.mktemp("exported") / "policy.onnx"

@@ -9,7 +9,7 @@ def linear(network):
 
 
 def parameters(algorithm, model):
-    """By name: a parameter of ours, those of theirs that hold the same numbers, and how these are put together."""
+    """Return, by name, our parameter, their parameters with the same numbers, and the function that joins these."""
     found = {}
 
     def add(name, params, layers, join):

@@ -33,7 +33,7 @@ RUNS = {
 
 
 class Finished:
-    """Finished runs by the names in ``RUNS``, each trained by whoever asks for it first.
+    """Hold finished runs by the names in ``RUNS``, each trained for the first test that asks for it.
 
     Test processes of one session share the folder: a lock on disk makes the others wait for the first.
 
@@ -45,7 +45,7 @@ class Finished:
         self.folder, self.handed_out = folder, {}
 
     def __getitem__(self, name):
-        """The run's directory, to be read only: other tests read it as well."""
+        """Return the run's directory, only to be read: other tests read it as well."""
         directory = self.folder / name.replace(" ", "_")
         run, whole = directory / "run", directory / "whole"
         directory.mkdir(parents=True, exist_ok=True)
@@ -61,11 +61,11 @@ class Finished:
         return run
 
     def copy(self, name, to):
-        """A copy at ``to``, for a test that changes the run."""
+        """Copy the run to ``to``, for a test that changes it."""
         return Path(shutil.copytree(self[name], to))
 
     def check(self):
-        """Fail if a run that was handed out is not as it was."""
+        """Fail if a run that was handed out has changed."""
         handed_out, self.handed_out = self.handed_out, {}
         for name, (run, before) in handed_out.items():
             if contents(run) != before:
@@ -73,7 +73,7 @@ class Finished:
 
 
 def contents(run):
-    """Size and time of change of every file by its path."""
+    """Return size and time of change of every file, by path."""
     found = {}
     for here, _, files in os.walk(run):
         for name in files:
@@ -84,7 +84,7 @@ def contents(run):
 
 @contextlib.contextmanager
 def undisturbed():
-    """Leave random numbers and output as if nothing happened here: which test trains a run is chance."""
+    """Restore random numbers and output: which test trains a run depends on chance."""
     states = random.getstate(), np.random.get_state(), torch.get_rng_state(), torch.get_num_threads()
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):

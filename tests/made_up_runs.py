@@ -4,7 +4,7 @@ import json
 
 
 def make(root, name, returns=500.0, *, overrides=(), evaluation=True, change=None, success=1.0):
-    """A run as gctd3.train leaves it, without its policy."""
+    """Make a run as gctd3.train leaves it, without its policy."""
     run = root / name
     config = {
         "seed": int(name[-1]),
@@ -33,7 +33,7 @@ def make(root, name, returns=500.0, *, overrides=(), evaluation=True, change=Non
 
 
 def examined(run, success, impulses, phases=(4.0, 2.0)):
-    """What ``robustness=true`` leaves."""
+    """Write the results that ``robustness=true`` leaves."""
     found = {
         "perturbations": {"impulses": impulses, "starts": 3, "recover": 3.0},
         "mass_kg": 10.0,

@@ -1,4 +1,4 @@
-"""Terms of one's own, as a package beside the library has them: right ones, and one for each way to be wrong."""
+"""Define terms outside the library: valid ones, and one for each way to be wrong."""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""Running the commands in a test: tiny trainings, in this process or in one of their own."""
+"""Run the commands in a test: tiny trainings, in this process or in one of their own."""
 
 import copy
 import csv
@@ -30,7 +30,7 @@ TINY = {
 
 
 class Recorded(Trainer):
-    """A trainer that keeps a copy of every policy that it evaluated, by frames, for the test to look at."""
+    """Train, and keep a copy of every evaluated policy, by frames."""
 
     last = None
 
@@ -45,7 +45,7 @@ class Recorded(Trainer):
 
 
 def command(name, *arguments, trainer=None):
-    """``python -m gctd3.NAME ARGUMENTS`` in this process; its exit code."""
+    """Run ``python -m gctd3.NAME ARGUMENTS`` in this process; return its exit code."""
     with pytest.MonkeyPatch.context() as patch:
         # Hydra's logging would close the streams of the handlers that are there, and absl's has pytest's.
         quiet = ["hydra/job_logging=none", "hydra/hydra_logging=none"]
@@ -59,7 +59,7 @@ def command(name, *arguments, trainer=None):
 
 
 def process(name, *arguments):
-    """The same in a process of its own."""
+    """Run the same in a process of its own."""
     return subprocess.run([sys.executable, "-m", f"gctd3.{name}", *arguments], capture_output=True, text=True)
 
 

@@ -1,4 +1,4 @@
-"""TD3, DDPG and SAC: who learns from which loss, when targets move and where to, and that each learns a toy problem."""
+"""TD3, DDPG and SAC: each loss trains its own networks, targets move as in the paper, and each learns a toy problem."""
 
 import copy
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ every_algorithm = pytest.mark.parametrize("name", KINDS)
 
 
 def groups(algorithm):
-    """The parameters of each network under training, by the name of its optimiser."""
+    """Return the parameters of each network under training, by the name of its optimiser."""
     loss = algorithm.loss
     critic = loss.qvalue_network_params if hasattr(loss, "qvalue_network") else loss.value_network_params
     found = {"actor": trainable(loss.actor_network_params), "critic": trainable(critic)}
@@ -30,7 +30,7 @@ def trainable(params):
 
 
 def values(params):
-    """A copy that training does not change."""
+    """Copy parameters, so that training does not change them."""
     return {key: value.detach().clone() for key, value in sorted(params.flatten_keys(".").items())}
 
 
@@ -39,7 +39,7 @@ def same(a, b):
 
 
 def targets(algorithm):
-    """Pairs of parameters and what follows them, by name."""
+    """Return pairs of parameters and their targets, by name."""
     loss, pairs = algorithm.loss, {}
     for net in ("actor_network", "value_network", "qvalue_network"):
         learnt, target = getattr(loss, f"{net}_params", None), getattr(loss, f"target_{net}_params", None)
@@ -78,7 +78,7 @@ def test_a_step_of_one_optimiser_leaves_the_other_networks_alone(name):
 
 
 def leaves(tensor):
-    """Whose gradients a backward pass from ``tensor`` computes."""
+    """Return the tensors for which a backward pass from ``tensor`` computes gradients."""
     seen, waiting, found = set(), [tensor.grad_fn], {}
     while waiting:
         node = waiting.pop()
@@ -134,7 +134,7 @@ def test_the_critics_see_the_counters_and_the_policy_does_not(name):
 
 @dataclass(frozen=True)
 class TwoEverywhere(Architecture):
-    """Critics that begin with the value 2 for everything."""
+    """Begin as critics with the value 2 everywhere."""
 
     def critic(self):
         critic = super().critic()

@@ -18,7 +18,7 @@ pytestmark = [
 
 
 def updated(name, compiled):
-    """An algorithm after a few updates, and what the last one said."""
+    """Return an algorithm after a few updates, and the metrics of the last one."""
     algorithm = build(name, compile=compiled)
     for i in range(UPDATES):
         torch.manual_seed(i)
@@ -29,7 +29,7 @@ def updated(name, compiled):
 # Tracing takes long; what of it depends on the algorithm is its losses.
 @pytest.mark.parametrize("name", [pytest.param(kind, marks=[pytest.mark.nightly] * (kind != "td3")) for kind in KINDS])
 def test_traced_losses_update_as_they_are(name, monkeypatch):
-    """Traced as for the compiler, and then run as they are: bit for bit the same."""
+    """Losses that are traced for the compiler, and run without it, update bit for bit as the original ones."""
     traced, compiler = [], torch.compile
 
     def trace(function, mode):

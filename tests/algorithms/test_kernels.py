@@ -56,7 +56,7 @@ def test_stacked_layers_against_finite_differences():
 
 @pytest.mark.parametrize("trained", [(0,), (1,), (2,), (4,), (0, 3), (1, 2)], ids=str)
 def test_stacked_layers_of_which_only_some_are_trained(trained):
-    """The gradients that are asked for, and no others."""
+    """Only the gradients that are required are computed."""
     x, parameters = network((3, 4, 2))
     found = []
     for function in (kernels.stacked_layers, kernels.stacked_layers_plain):

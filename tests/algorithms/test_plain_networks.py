@@ -91,7 +91,7 @@ def test_a_training_says_that_it_is_slower(tmp_path):
 
 
 def test_a_network_that_is_ours_in_parts(tmp_path):
-    """A subclass of the settings of networks, whose fully connected layers are PyTorch's."""
+    """A subclass of ``Network`` with fully connected layers of PyTorch trains."""
     target = "network._target_=plain_networks.PlainHead"
     assert rows(train(tmp_path / "run", "algo=sac", target))
     assert isinstance(plain_networks.PlainHead().head(3, 1)[0], nn.Linear)

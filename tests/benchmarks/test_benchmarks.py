@@ -1,4 +1,4 @@
-"""The benchmarks: what they make of hand-made rows, what they say to a wrong option, and that a peer trains."""
+"""The benchmarks: tables of made-up rows, errors for wrong options, and trainings of the peers."""
 
 import csv
 import importlib
@@ -189,7 +189,7 @@ def test_race_ends_when_it_walks_or_its_time_is_up(race, tmp_path, capsys, rows,
 
 
 def test_an_interrupt_ends_the_trainings_and_reports_what_was_over(race, tmp_path, monkeypatch, capsys):
-    """One run has walked and the next is under way when the kill comes."""
+    """An interrupt in the second training ends it, and the finished first one is reported."""
     handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
     pid, out = tmp_path / "pid", tmp_path / "out.json"
     stays = f"import os, pathlib, time; pathlib.Path({str(pid)!r}).write_text(str(os.getpid())); time.sleep(600)"

@@ -1,4 +1,4 @@
-"""Planted faults: what is changed of a file, that a fault is known in another layout, and who finds it."""
+"""Planted faults: how a file is changed, how a fault is recognised in another layout, and which tests find it."""
 
 import importlib
 import sys
@@ -53,7 +53,7 @@ def test_faults_by_hand(module):
 
 
 def made(root, folder):
-    """A checkout whose module lies in a folder."""
+    """Make a checkout whose module lies in a folder."""
     for name in ("gctd3", "conf", "tests", f"gctd3/{folder}"):
         (root / name).mkdir(exist_ok=True, parents=True)
         (root / name / "__init__.py").touch()

@@ -33,7 +33,7 @@ def recipe(monkeypatch):
 
 @pytest.fixture
 def sides(recipe, tmp_path):
-    """Makes our training and their model as the recipe does, with short episodes, the same starts and weights."""
+    """Return a function that makes our training and their model, with short episodes, equal starts and weights."""
 
     def make(algo, task, random_steps=0):
         values = {"batch_size": BATCH, "capacity": 5000, "action_noise": NOISE, "random_steps": random_steps}
@@ -55,25 +55,25 @@ def sides(recipe, tmp_path):
 
 
 def robots(env):
-    """Gymnasium's environments in one of ours."""
+    """Return Gymnasium's environments inside one of ours."""
     return [robot._env for robot in env.base_env.robots]
 
 
 def shorten(env):
-    """Cut its episodes short."""
+    """Shorten an environment's episodes."""
     while not isinstance(env, gymnasium.wrappers.TimeLimit):
         env = env.env
     env._max_episode_steps = LIMIT
 
 
 def draw(monkeypatch, algo, first):
-    """Give both sides the same draws, each from their beginning when this is called.
+    """Give both sides the same random draws, from their beginning at every call.
 
     Args:
-        monkeypatch: Pytest's.
+        monkeypatch: Pytest's fixture.
         algo: The algorithm.
-        first: Of the two draws of one of SAC's updates, the one that this side makes first: 0 for the actions where the
-            batch is, 1 for those after.
+        first: Index of the draw that this side makes first in an update of SAC: 0 for actions in the batch's states, 1
+            for actions in the next states.
     """
     generator = np.random.default_rng(1)
     noise = generator.standard_normal((STEPS, 6)).astype(np.float32)
@@ -98,7 +98,7 @@ def draw(monkeypatch, algo, first):
 
 
 def collect(trainer, model, monkeypatch, algo):
-    """Let both act for some steps, without an update."""
+    """Step both sides without an update."""
     monkeypatch.setattr(model, "train", lambda **_: None)
     draw(monkeypatch, algo, first=1)
     for _ in range(STEPS):
@@ -139,7 +139,7 @@ def test_batches_hold_the_same_transitions(sides, algo, task, monkeypatch):
 
 @pytest.mark.parametrize("algo", ["td3", "sac", "ddpg"])
 def test_trainings_go_the_same_way(sides, algo, monkeypatch):
-    """The whole of both, each with its own loop: acting, keeping, drawing and updating in the same order."""
+    """Whole trainings agree, each with its own loop: they act, store, sample and update in the same order."""
     trainer, model = sides(algo, "halfcheetah")
     before = {name: mine.detach().clone() for name, (mine, *_) in parameters(trainer.algorithm, model).items()}
     draw(monkeypatch, algo, first=1)

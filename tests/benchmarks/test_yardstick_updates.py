@@ -1,4 +1,4 @@
-"""Our updates against Stable-Baselines3's: the same weights, batches and random draws leave the same behind."""
+"""Our updates and Stable-Baselines3's, from equal weights, batches and draws, give equal parameters and targets."""
 
 import importlib
 from pathlib import Path
@@ -20,7 +20,7 @@ SEEN, ACTIONS = 17, 6  # HalfCheetah's
 
 @pytest.fixture(autouse=True)
 def _double():
-    """Adam divides a gradient by its size: of one that vanishes, float32 would compare the rounding."""
+    """Compute in float64: Adam divides by a gradient's size, where float32 would compare rounding errors."""
     torch.set_default_dtype(torch.float64)
     yield
     torch.set_default_dtype(torch.float32)
@@ -36,7 +36,7 @@ def recipe(monkeypatch):
 
 
 def sides(recipe, algo):
-    """Our algorithm and their model as the recipe makes them."""
+    """Return our algorithm and their model, made from the recipe."""
     from stable_baselines3.common.logger import Logger
 
     values = recipe.Recipe(hidden=(24, 16), batch_size=BATCH, capacity=1000, learning_rate=1e-3, tau=0.05)
@@ -47,7 +47,7 @@ def sides(recipe, algo):
 
 
 def optimisers(algorithm, model):
-    """Of both, by name."""
+    """Return both sides' optimisers, by name."""
     theirs = {"critic": model.critic.optimizer, "actor": model.actor.optimizer}
     if "alpha" in algorithm.optimizers:
         theirs["alpha"] = model.ent_coef_optimizer
@@ -55,7 +55,7 @@ def optimisers(algorithm, model):
 
 
 def batch():
-    """The same transitions for ours and for theirs; some terminate, some are cut short."""
+    """Return the same transitions for both sides; some terminate, some are truncated."""
     fate = torch.randint(5, (BATCH, 1))
     terminated, truncated = fate == 0, fate == 1
     seen, after, action = torch.randn(BATCH, SEEN), torch.randn(BATCH, SEEN), 2 * torch.rand(BATCH, ACTIONS) - 1
@@ -70,7 +70,7 @@ def batch():
 
 
 def differences(algorithm, model):
-    """The largest difference of every parameter, and of what its optimiser remembers of it."""
+    """Return the largest difference of every parameter, and of its optimiser's state."""
     found = {}
     for name, (mine, theirs, join) in parameters(algorithm, model).items():
         found[name] = (mine.data - join([parameter.data for parameter in theirs])).abs().max().item()

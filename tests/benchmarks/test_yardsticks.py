@@ -1,4 +1,4 @@
-"""Our algorithms beside Stable-Baselines3's: that both are told the same, and what is made of their curves."""
+"""Our algorithms beside Stable-Baselines3's: both get equal settings, and their curves are compared correctly."""
 
 import importlib
 import json
@@ -52,7 +52,7 @@ def curves():
 
 
 def sides(recipe, algo):
-    """Our settings and our algorithm, and their model."""
+    """Return our settings, our algorithm and their model."""
     pytest.importorskip("stable_baselines3")
     unusual = recipe.Recipe(**UNUSUAL)
     ours = build(composed(*recipe.ours(algo, "halfcheetah", unusual)))
@@ -194,7 +194,7 @@ SHORT = {"tasks": "walker2d", "algos": "td3", "seeds": "0", "steps": "400", "eve
 
 @pytest.fixture
 def yardsticks(tmp_path, monkeypatch):
-    """Calls the benchmark with options."""
+    """Return a function that runs the benchmark with options."""
     pytest.importorskip("stable_baselines3")
     benchmark = importlib.import_module("yardsticks")
 
@@ -241,6 +241,6 @@ def test_what_there_is_none_of_is_named(yardsticks):
 
 
 def test_recipes_differ_from_the_test_values(recipe):
-    """So that a value that is not passed on shows in the comparison above."""
+    """No test value equals the recipe's, so that a value that is not passed on fails the comparison above."""
     assert all(getattr(recipe.Recipe(), name) != value for name, value in UNUSUAL.items())
     assert replace(recipe.Recipe(), **UNUSUAL) == recipe.Recipe(**UNUSUAL)

@@ -1,4 +1,4 @@
-"""Runs that a report keeps without their checkpoints make the same report again."""
+"""Runs that a report keeps without their checkpoints give the same report again."""
 
 import pytest
 from made_up_runs import examined, make
@@ -13,7 +13,7 @@ from gctd3.files import write_manifest
 
 
 def numbers(out):
-    """Everything in words and tables."""
+    """Read all texts and tables of a report."""
     return {file.name: file.read_bytes() for file in [*out.glob("tables/*.csv"), out / "verdict.txt"]}
 
 

@@ -1,4 +1,4 @@
-"""Which runs a report compares: of one task, evaluated alike, each seed once; and what it says of unequal trainings."""
+"""A report refuses runs of different tasks or evaluations and repeated seeds, and notes unequal trainings."""
 
 import json
 import re
@@ -49,7 +49,7 @@ def test_runs_that_do_not_belong_together_are_refused(tmp_path, change, said):
 
 
 def evaluate_over(run, episodes, seed):
-    """Say of a made-up run over which episodes it was evaluated."""
+    """Write into a made-up run over which episodes it was evaluated."""
     file = run / "evaluation.json"
     content = {**json.loads(file.read_text()), "episodes": episodes, "seeds": {"training": 0, "evaluation": seed}}
     file.write_text(json.dumps(content))

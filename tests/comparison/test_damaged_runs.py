@@ -1,4 +1,4 @@
-"""Damaged files of runs: each is named with what to do, and what a kill leaves behind does not stop the report."""
+"""Damaged files of runs are named with a remedy, and files that a killed run leaves do not stop the report."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""The report at equal wall-clock: on hand-made runs, and on a training and what it kept."""
+"""The report at equal wall-clock, on hand-made runs, and on a training and the policies that it kept."""
 
 import csv
 import json
@@ -23,7 +23,7 @@ HEAD = "frames,updates,wall_s,return_mean,success_rate,velocity_mean"
 
 
 def timed(root, name, *lines, **settings):
-    """A run with these lines of progress: frames, updates, seconds, return, success, m/s."""
+    """Make a run with these lines of progress: frames, updates, seconds, return, success, m/s."""
     run = make(root, name, **settings)
     (run / "progress.csv").write_text("\n".join([HEAD, *lines]) + "\n")
     return run
@@ -31,7 +31,7 @@ def timed(root, name, *lines, **settings):
 
 @pytest.fixture
 def sweep(tmp_path):
-    """Three seeds that train 100, 120 and 200 s, and three that train 240 s."""
+    """Make three seeds that train for 100, 120 and 200 s, and three that train for 240 s."""
     for seed, (end, last) in enumerate([(100, 300), (120, 330), (200, 900)]):
         timed(tmp_path, f"a{seed}", "1000,10,60,100,0.5,1", f"2000,30,{end},{last},1.0,1")
     for seed in range(3):
@@ -41,7 +41,7 @@ def sweep(tmp_path):
 
 
 def cells(root):
-    """The table's rows by group, and the time it is of."""
+    """Return the table's rows by group, and the time at which it compares."""
     groups = groups_of(find_runs(root))
     limit = time_limit(groups)
     table = equal_time(groups, limit)
@@ -167,7 +167,7 @@ def test_the_verdict_says_what_runs_cost(tmp_path):
 
 
 def many(root, *seconds):
-    """Five seeds that train that long and return much, and five that train 95 s and return little."""
+    """Make five seeds that train for that long and return much, and five that train for 95 s and return little."""
     for seed, end in enumerate(seconds):
         timed(root, f"a{seed}", f"1000,10,{0.4 * end},800,1.0,1", f"2000,20,{end},80{seed},1.0,1", returns=800 + seed)
         timed(root, f"b{seed}", "1000,10,40,5,0.0,1", f"2000,20,95,1{seed},0.0,1", returns=10 + seed, **TD3)

@@ -1,4 +1,4 @@
-"""The report's gait table: what it says of seeds that differ, slide or never got far."""
+"""The report's gait table, on seeds whose gaits differ, slide or stay near the start."""
 
 import pytest
 
@@ -13,7 +13,7 @@ WALKS = {"periodic_fraction": 1.0, "duty_factor": 0.6, "floquet_max": 0.5, "flig
 
 
 def cells(tmp_path, *found):
-    """What the table says of one group of seeds with these gaits, by metric."""
+    """Return the table's cells for one group of seeds with these gaits, by metric."""
     runs = [
         Run(tmp_path, str(seed), {"seed": seed}, "td3", evaluation={"gait": gait}) for seed, gait in enumerate(found)
     ]

@@ -1,4 +1,4 @@
-"""Where a report is written: over nothing but an earlier report, of which nothing is left."""
+"""A report is written over an earlier report only, and then replaces all of it."""
 
 import shutil
 
@@ -20,7 +20,7 @@ def runs(tmp_path):
 
 
 def contents(root):
-    """Every file below ``root`` by its path."""
+    """Read every file below ``root``, by path."""
     return {str(file.relative_to(root)): file.read_bytes() for file in root.rglob("*") if file.is_file()}
 
 

@@ -1,4 +1,4 @@
-"""The report's page in a browser, where there is one: whole, offline, narrow and wide, light and dark."""
+"""The report's page in a browser, if one is installed: complete, offline, narrow and wide, light and dark."""
 
 import json
 import shutil
@@ -37,7 +37,7 @@ FIGURES = {
 
 
 def trace(robot):
-    """Four seconds of a gait whose right and left legs take turns."""
+    """Make up four seconds of a gait whose right and left legs take turns."""
     time = DT * np.arange(1, 200)
     columns = {"time_s": time, "height_m": 0.02 * np.sin(18.0 * time)}
     for leg in robot.legs:
@@ -50,14 +50,14 @@ def trace(robot):
 
 
 def gait(seed):
-    """Every metric, with as many digits as trained policies have; some seeds have no strides."""
+    """Make up every metric, with as many digits as trained policies have; some seeds have no strides."""
     found = {key: 10.0 ** (4 if key == "action_jerk" else 0) * -(2.345 + 5.1 * seed) for key, *_ in GAIT}
     return found | {"asymmetry_hip_right": 0.02, "stride_time": 0.8 if seed == 0 else None, "periodic_fraction": 0.4}
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, robot):
-    """Two seeds of each of six settings; the first is as complete as a training and its examination leave it."""
+    """Make two seeds of each of six settings; the first has all files of a training and its evaluations."""
     root, shipped = tmp_path_factory.mktemp("report") / "runs", find_run(None)
     for tau in TAUS:
         for seed in range(2):
@@ -96,7 +96,7 @@ def browser():
 
 @pytest.fixture
 def opened(browser, page_file):
-    """Opens the page and hands back what the browser shows; nothing may be said, and nothing else be asked for."""
+    """Return a function that opens the page; the console must stay empty, and nothing else be requested."""
     contexts, said, asked = [], [], []
 
     def look(width, scheme="light"):
@@ -119,12 +119,12 @@ def opened(browser, page_file):
 
 
 def every(page, selector, what):
-    """``what`` of every element ``e`` that the selector finds."""
+    """Evaluate ``what`` for every element ``e`` that the selector finds."""
     return page.evaluate(f"[...document.querySelectorAll('{selector}')].map(e => {what})")
 
 
 def films():
-    """Headings of the films that can be drawn here."""
+    """Return the headings of the films that can be drawn here."""
     try:
         find_backend()
     except RenderError:

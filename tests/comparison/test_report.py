@@ -52,7 +52,7 @@ def test_how_many_seeds_it_takes_is_what_shuffling_them_says(ours, theirs):
 
 @pytest.fixture
 def pair(tmp_path):
-    """Two algorithms, three seeds each."""
+    """Make two algorithms with three seeds each."""
     for seed in range(3):
         make(tmp_path, f"a{seed}", 500.0 + seed)
         make(tmp_path, f"b{seed}", 400.0 + seed, overrides=["algo=td3"], change={"algo.tau": 0.01})

@@ -1,4 +1,4 @@
-"""The report's statistics: by hand, against rliable, and by repetition."""
+"""The report's statistics equal hand arithmetic and rliable, and intervals cover as often as they should."""
 
 import numpy as np
 import pytest

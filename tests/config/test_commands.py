@@ -1,4 +1,4 @@
-"""What the commands say when what they are told is wrong: one message that names it, exit code 2, nothing done."""
+"""Every command answers wrong input with one message that names it and exit code 2, and writes nothing."""
 
 import re
 import shutil
@@ -23,7 +23,7 @@ def run(tmp_path_factory):
 
 
 def answer(capsys, name, *arguments):
-    """The one message on stderr of a command that refuses."""
+    """Return the one message on stderr of a command that refuses."""
     capsys.readouterr()
     assert command(name, *arguments) == 2
     error = capsys.readouterr().err
@@ -150,7 +150,7 @@ def test_a_directory_holds_one_run(capsys, run):
 
 @pytest.fixture
 def broken(run, tmp_path):
-    """A copy of a run, to be broken."""
+    """Copy a run, to damage it."""
     return Path(shutil.copytree(run, tmp_path / "broken"))
 
 

@@ -1,4 +1,4 @@
-"""Defaults: those of the dataclasses complete what YAMLs say, for every choice, in every process and for outsiders."""
+"""The defaults of dataclasses complete every YAML: for every choice, in every process and for other projects."""
 
 import subprocess
 import sys
@@ -22,7 +22,7 @@ from gctd3.training.settings import TrainSettings
 
 @dataclass(frozen=True)
 class Inner:
-    """Settings inside of settings.
+    """Hold settings that are a field of other settings.
 
     Attributes:
         size: How many (1).
@@ -35,7 +35,7 @@ class Inner:
 
 @dataclass(frozen=True)
 class Mine:
-    """Settings of an outsider.
+    """Hold settings that are not gctd3's.
 
     Attributes:
         must: Has no default,
@@ -198,7 +198,7 @@ hydra:
 
 @pytest.fixture
 def project(tmp_path):
-    """Another project, which finds YAMLs of gctd3's by Hydra's search path and imports nothing of it."""
+    """Make another project, which finds gctd3's YAMLs by Hydra's search path and imports nothing of gctd3."""
     (tmp_path / "conf").mkdir()
     (tmp_path / "conf" / "main.yaml").write_text(MAIN)
     (tmp_path / "main.py").write_text(PROJECT)
@@ -286,7 +286,7 @@ def test_a_run_keeps_every_key_and_goes_on_with_keys_that_no_yaml_holds(tmp_path
 
 
 def test_a_run_does_not_say_where_yamls_are(tmp_path):
-    """They would be imported from, and a run may be somebody else's."""
+    """A run's own search path is ignored: modules would be imported from it, and the run may be somebody else's."""
     run = tmp_path / "run"
     assert command("train", *tiny(run)) == 0
     (tmp_path / "theirs" / "network").mkdir(parents=True)

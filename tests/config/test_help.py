@@ -1,4 +1,4 @@
-"""What a newcomer reads first: the list of commands, and each one's help, with nothing missing and nothing made up."""
+"""The list of commands and each command's help name every key and choice, and nothing that does not exist."""
 
 import re
 import subprocess
@@ -26,7 +26,7 @@ def file(command):
 
 
 def test_every_command_is_listed():
-    """A command is a YAML at the root of conf/, a module, a script and a line of the overview."""
+    """Every command has a YAML at the root of conf/, a module, a script and a line of the overview."""
     assert {file(command).name for command in COMMANDS} == {path.name for path in FILES.glob("*.yaml")}
     scripts = dict(re.findall(r'^([\w-]+) = "gctd3\.__main__:(\w+)"$', PROJECT, flags=re.M))
     assert scripts == {"gctd3": "main", **{f"gctd3-{command}": "script" for command in COMMANDS}}

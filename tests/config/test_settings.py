@@ -106,7 +106,7 @@ def test_the_other_commands_build(root):
 
 
 def test_yaml_and_python_agree(default):
-    """What a library user gets by default is what a command line gets."""
+    """The defaults of the Python functions equal those of the command line."""
     settings = build(default)
     assert settings.network == Network() and settings.algo == TD3Settings()
     assert settings.exploration == ExplorationSettings() and settings.replay == ReplaySettings()
@@ -143,14 +143,14 @@ def test_presets_are_read_as_yaml_reads_them():
 
 
 def test_every_key_has_a_comment():
-    """On its line, or above it and the keys that follow."""
+    """Every key of every YAML has a comment on its line, or above it and the keys that follow."""
     assert [
         f"{preset.group}/{preset.name}: {change.key}" for preset in SPARE for change in preset.changes if not change.why
     ] == []
 
 
 def test_what_a_preset_says_differs_from_the_default():
-    """A default that stands in a YAML too would be written twice."""
+    """No YAML repeats a dataclass's default."""
     checked = 0
     for preset in SPARE:
         if preset.target is None:
@@ -172,7 +172,7 @@ def test_a_command_says_no_defaults(command):
 
 
 def attributes(tree):
-    """Names of attributes that are read, but by the checks of settings."""
+    """Return the names of attributes that are read outside the checks of settings."""
     if isinstance(tree, ast.FunctionDef) and tree.name == "__post_init__":
         return set()
     own = {tree.attr} if isinstance(tree, ast.Attribute) else set()
@@ -180,7 +180,7 @@ def attributes(tree):
 
 
 def test_every_setting_is_explained_and_read():
-    """A field that nothing but its own check reads is no setting."""
+    """Every field has a meaning, and is read outside its own check."""
     read, checked = set(), 0
     for file in Path(gctd3.__file__).parent.rglob("*.py"):
         read |= attributes(ast.parse(file.read_text(encoding="utf-8")))

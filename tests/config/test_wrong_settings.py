@@ -1,4 +1,4 @@
-"""Settings: every mistake is answered with what would be right."""
+"""Every wrong setting is answered with the accepted values."""
 
 import math
 import re
@@ -51,7 +51,7 @@ def test_nothing_like_a_key_is_only_told_what_is_accepted(default):
 
 
 def test_a_value_of_the_wrong_type_is_named(default):
-    """Any key: a mapping where none belongs, and a text where a number belongs."""
+    """Any key given a mapping where none belongs, or a text where a number belongs, is named."""
     checked = 0
     for key, _ in items(default):
         if key.startswith(("stop_when.at_least.", "stop_when.at_most.")):

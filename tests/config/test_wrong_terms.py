@@ -1,4 +1,4 @@
-"""Terms that are wrong on the command line: one line that names the key, the value and what is accepted."""
+"""Wrong terms on the command line are answered in one line with the key, the value and the accepted values."""
 
 import pytest
 from running import command, tiny

@@ -1,4 +1,4 @@
-"""Functions that run in a thread of their own."""
+"""Functions run in threads of their own."""
 
 import subprocess
 import sys

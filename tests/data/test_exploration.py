@@ -1,4 +1,4 @@
-"""Exploration: how long the warm-up lasts, what its gaits look like, and whose actions follow it."""
+"""Exploration: the length of the warm-up, the shape of its gaits, and the policy that acts after it."""
 
 import itertools
 
@@ -40,7 +40,7 @@ def actor(graph):
 
 @pytest.fixture
 def still(monkeypatch):
-    """Rhythms without noise."""
+    """Make rhythms without noise."""
     monkeypatch.setattr(Rhythm, "NOISE", 0.0)
 
 
@@ -180,7 +180,7 @@ def test_only_the_farthest_is_remembered(robot):
 
 
 def test_without_heirs_nothing_is_drawn_besides(robot):
-    """So that the seeds of other trainings keep their meaning."""
+    """With ``mutation_share=0`` no further numbers are drawn: the seeds of other trainings keep their meaning."""
     torch.manual_seed(0)
     plain = Rhythm(robot, 4, (1.2, 2.4), DT)
     plain(torch.ones(4, dtype=torch.bool))
@@ -256,7 +256,7 @@ def test_a_policy_that_is_random_by_itself_is_drawn_from(robot, graph):
 
 
 def test_it_is_the_live_actor_that_acts(robot, task, actor):
-    """Also in a collector, which could have copied it."""
+    """The actor under training acts, also in a collector, which could have copied it."""
     explore = explorer(robot, actor, learning_starts=0, noise=None)
     env = env_of(task)
     collector = Collector(env, explore, frames_per_batch=4, total_frames=12)

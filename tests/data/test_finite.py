@@ -1,4 +1,4 @@
-"""Numbers that are none, and robots that explode: named, kept to find the cause, and no other robot's affair."""
+"""NaN and infinite values and diverged robots are named, saved for analysis, and do not affect other robots."""
 
 import csv
 
@@ -21,7 +21,7 @@ ROBOT = 2
 
 
 class Poisoned(Recorded):
-    """A training whose environment, networks or losses go bad after ``STEP`` steps."""
+    """Train until the environment, networks or losses give NaN after ``STEP`` steps."""
 
     poison = staticmethod(lambda trainer: None)
 
@@ -37,7 +37,7 @@ def poisoned(poison):
 
 
 def bad_output(key, index):
-    """A poison that puts NaN into what the environment's next step gives for ``key``."""
+    """Return a function that puts NaN into the environment's next output for ``key``."""
 
     def poison(trainer):
         env = trainer.collector.env
@@ -130,7 +130,7 @@ def test_a_policy_of_nan_is_not_evaluated(tmp_path, capsys):
 
 
 class Poison(Transform):
-    """Spoils one value of one robot in the third step."""
+    """Change one value of one robot in the third step."""
 
     def __init__(self, key, change):
         super().__init__(in_keys=[], out_keys=[])

@@ -1,4 +1,4 @@
-"""Workers in processes of their own: TorchRL's collectors, killed and stopped on the way."""
+"""Workers in processes of their own: TorchRL's collectors, killed and stopped while they collect."""
 
 import multiprocessing
 import os
@@ -17,7 +17,7 @@ PROCESS = ["collector=process", "collector.chunk=2"]
 
 
 def nobody_is_left():
-    """Whether all processes end soon; one that was killed may take its time on a busy machine."""
+    """Return whether all processes end soon; a killed one may take its time on a busy machine."""
     deadline = time.monotonic() + 60
     while multiprocessing.active_children() and time.monotonic() < deadline:
         time.sleep(0.1)
@@ -34,7 +34,7 @@ def test_a_process_acts_with_the_weights_that_it_is_sent(robot):
 
 
 class Struck(Recorded):
-    """A trainer one of whose workers is killed, and then the other one stopped."""
+    """Train while one worker is killed and then the other one stopped."""
 
     def _learn(self, bar, seen):
         super()._learn(bar, seen)

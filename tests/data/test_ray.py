@@ -1,4 +1,4 @@
-"""Workers on a Ray cluster: what is wrong with one is said at once; the rest, on a cluster of this machine, is slow."""
+"""Workers on a Ray cluster: an unfit cluster is refused at once; trainings on a cluster of this machine are slow."""
 
 import contextlib
 import importlib.util
@@ -67,7 +67,7 @@ def test_a_wrong_address_is_said_within_seconds(tmp_path):
 
 @pytest.fixture
 def head(monkeypatch):
-    """A function that starts a head node with so many CPUs and returns its address; all ends with the test."""
+    """Return a function that starts a head node and returns its address; everything ends with the test."""
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # for whoever joins, too
     ray = [sys.executable, "-m", "ray.scripts.scripts"]
     started = []
@@ -100,7 +100,7 @@ def head(monkeypatch):
 
 
 def kill_session(leader):
-    """All processes of a session that the test began."""
+    """Kill all processes of a session that the test began."""
     found = subprocess.run(["pgrep", "-s", str(leader)], capture_output=True, text=True).stdout.split()
     for pid in map(int, found):
         with contextlib.suppress(ProcessLookupError):

@@ -1,4 +1,4 @@
-"""Collecting beside learning: what workers deliver, and what happens when they fail."""
+"""Collecting while learning: the batches that workers deliver, and how the collector handles their failures."""
 
 import dataclasses
 import threading
@@ -21,7 +21,7 @@ from gctd3.errors import ConfigError, WorkerError
 
 
 class Near(Worker):
-    """Steps its robots in the thread that asks; breaks or hangs at the batches that it is told to."""
+    """Step the robots in the calling thread; fail or hang at the batches that the test chooses."""
 
     made: ClassVar = []  # jobs, in the order of their beginnings
     faults: ClassVar = {}  # by number of the worker and batch: what to do
@@ -55,7 +55,7 @@ def hangs(worker):
 
 @pytest.fixture
 def collector(robot, monkeypatch):
-    """A function that makes a collector of workers that are near; it starts them one after another."""
+    """Return a function that makes a collector with workers in this process, started one after another."""
     monkeypatch.setattr(Near, "made", [])
     monkeypatch.setattr(Near, "faults", {})
     starting = threading.Lock()
@@ -78,7 +78,7 @@ def collector(robot, monkeypatch):
 
 
 def assert_continuous(batches):
-    """What follows a step is what the next one sees, unless its episode ended."""
+    """Assert that each next observation is the following step's observation, unless the episode ended."""
     whole = torch.cat(batches, dim=1)
     going = ~whole["next", "done"][:, :-1, 0]
     assert going.any()
@@ -138,7 +138,7 @@ def test_every_worker_has_a_seed_of_its_own_and_so_has_who_replaces_it(collector
 
 
 def test_batches_are_collected_with_the_weights_of_their_moment(collector):
-    """Once warmed up and without noise, an action is what the actor gave with the weights that it had been sent."""
+    """Without warm-up and noise, actions are the actor's with the weights that the worker was sent."""
     collect = collector("exploration.learning_starts=0", "exploration.noise=null")
     actor, given = collect.explorer.actor, []
 
@@ -210,7 +210,7 @@ def test_what_was_cut_short_bootstraps_and_what_fell_does_not():
 
 
 def test_replay_never_joins_the_frames_of_two_episodes(collector):
-    """Through a fault: every stack and every next frame that is drawn belongs to one episode of one robot."""
+    """After a fault, every drawn stack and next frame belongs to one episode of one robot."""
     Near.faults = {(0, 3): breaks, (2, 4): breaks}
     collect = collector("replay.n_step=3", "replay.mirror=false", "replay.batch_size=500")
     replay = Replay(collect.settings.replay, gamma=0.99)

@@ -1,4 +1,4 @@
-"""An exported policy's files: those that do not belong together are refused, and NumPy and onnxruntime run the rest."""
+"""An exported policy's files are refused if they do not belong together, and run with NumPy and onnxruntime alone."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""The dm_control environment: the checks of dm_control's own suite, then what TorchRL makes of it."""
+"""The dm_control environment passes the checks of dm_control's own suite, and TorchRL can wrap it."""
 
 import os
 import subprocess
@@ -23,7 +23,7 @@ def env(task):
 
 
 def trajectory(task, seed, steps=200):
-    """Time steps of random actions, over the ends of episodes."""
+    """Return the time steps of random actions, over the ends of episodes."""
     env = dmc.load(task, random=seed)
     rng = np.random.default_rng(seed)
     return [env.reset(), *(env.step(rng.uniform(-1.0, 1.0, env.action_spec().shape)) for _ in range(steps))]

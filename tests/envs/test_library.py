@@ -1,4 +1,4 @@
-"""Training on tasks of dm_control and Gymnasium, and what is said of those that cannot be."""
+"""Training on tasks of dm_control and Gymnasium, and errors for tasks that are not supported."""
 
 import json
 import math

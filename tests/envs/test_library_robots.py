@@ -1,4 +1,4 @@
-"""Robots of other libraries' tasks beside the same put together of TorchRL's own parts."""
+"""Robots of other libraries' tasks give the same steps as environments built from TorchRL's own parts."""
 
 import importlib
 from itertools import product
@@ -29,7 +29,7 @@ def stock(monkeypatch):
 
 
 def follow(env, actions):
-    """What every step gave, with the first state before them; of ours what the nodes sense, too."""
+    """Return every step's outputs, after the first state; for ours the node features too."""
     env.set_seed(SEED)
     state = env.reset()
     seen = [state.clone()]

@@ -1,4 +1,4 @@
-"""A task composed of terms of one's own, with a command: the same on every backend, in checkpoints and in runs."""
+"""A task of custom terms with a command is the same on every backend, in checkpoints and in runs."""
 
 import gymnasium
 import numpy as np
@@ -107,7 +107,7 @@ def test_dm_control_runs_it(mine):
 
 
 def test_dm_control_agrees_with_the_batched_one(mine):
-    """From the same states and the same commands: what is drawn differs, as their generators do."""
+    """From equal states and commands both backends agree; the commands are copied, since their generators differ."""
     env = dmc.load(mine, random=0)
     env.reset()
     held = env.task.state_dict()["memory"]
@@ -129,7 +129,7 @@ def test_dm_control_agrees_with_the_batched_one(mine):
 @pytest.mark.parametrize("backend", ["batched", "dm_control"])
 @pytest.mark.parametrize("taken", [3, 40])
 def test_an_environment_goes_on_as_it_would_have(mine, tmp_path, backend, taken):
-    """Commands, their clocks and what is drawn next are in the state; so are ends of episodes on the way."""
+    """The state holds commands, their clocks and their generator: a restored environment continues alike."""
 
     def follow(env, state, chosen):
         seen = []
@@ -153,7 +153,7 @@ def test_an_environment_goes_on_as_it_would_have(mine, tmp_path, backend, taken)
 
 
 def test_the_seed_says_which_commands(mine):
-    """An environment that was given its seed when it was made begins as one that was given it later."""
+    """A seed given at construction and one set later give the same commands."""
     env, same, other = (env_of(mine, seed=seed) for seed in (SEED, SEED + 1, SEED + 1))
     same.set_seed(SEED)
     first = env.reset()["nodes"]

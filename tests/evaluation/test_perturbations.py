@@ -1,4 +1,4 @@
-"""What is done to a robot and its policy, against hand arithmetic and against MuJoCo's own forces."""
+"""Perturbations of a robot and its policy equal hand arithmetic and MuJoCo's own forces."""
 
 import copy
 from types import SimpleNamespace
@@ -26,7 +26,7 @@ from gctd3.robots.robot import Robot
 
 
 def momentum(robot, qpos, qvel):
-    """Of the whole robot in the world's axes (N s), as MuJoCo has it."""
+    """Return the whole robot's momentum in the world's axes (N s), computed by MuJoCo."""
     data = mujoco.MjData(robot.model)
     data.qpos[:], data.qvel[:] = qpos, qvel
     mujoco.mj_fwdPosition(robot.model, data)
@@ -157,7 +157,7 @@ def test_what_errs_by_how_much(robot, task):
 
 
 def test_pushes_come_when_they_should(robot):
-    """Two robots; the foot is down from steps 0 to 2, in the air to 5, down again from 6 on."""
+    """Robots are pushed after touchdowns: the foot is down in steps 0 to 2, in the air to 5, and down from 6 on."""
     standing = np.tile(robot.model.qpos0, (2, 1))
     simulation = SimpleNamespace(
         num_robots=2, task=SimpleNamespace(robot=robot), qpos=standing, qvel=np.zeros((2, robot.model.nv)), now=None

@@ -1,4 +1,4 @@
-"""What is tried and what comes of it: by hand, on robots that step in place, and by the command."""
+"""Robustness results by hand, on robots that step in place, and from the command."""
 
 import json
 import math
@@ -53,7 +53,7 @@ def test_wrong_perturbations_are_named(change, said):
 
 
 class Stepping:
-    """Lifts one bent leg after the other, twice a second, by the clock: no walk, but touchdowns to count from."""
+    """Lift one bent leg after the other, twice a second, by the clock: no walk, but with touchdowns."""
 
     def __init__(self, dt):
         self.dt, self.step = dt, 0

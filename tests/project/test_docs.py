@@ -1,4 +1,4 @@
-"""What the documentation shows runs, and what it links to is there."""
+"""The documentation's commands run, and its links lead somewhere."""
 
 import doctest
 import importlib
@@ -116,7 +116,7 @@ INSTALL = {'pip install -e ".[test]"', "pip install -e .", "pytest"}
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A folder with a run that was stopped, a sweep, an MJCF of another robot than any that ships, and its YAML."""
+    """Make a folder with a stopped run, a sweep, an MJCF of a robot that does not ship, and its YAML."""
     root = tmp_path_factory.mktemp("readme")
     run = train(root / RUN, "total_frames=160")
     for seed in range(2):
@@ -148,14 +148,14 @@ LINES = [part for part in PARTS if part.startswith("python")]
 
 
 def parsed(line):
-    """A command line's command and arguments, the long ones shortened."""
+    """Split a command line into command and arguments, and shorten long trainings."""
     words = [part for word in shlex.split(line) for part in INSTEAD.get(word, word).split(" ")]
     called = 2 if words[1] == "-m" else 1
     return words[called].removeprefix("gctd3").lstrip("."), words[called + 1 :]
 
 
 def small(name, arguments):
-    """What is added to a command line, so that it takes seconds."""
+    """Return arguments that shorten a command line to seconds."""
     if any(word.startswith("resume=") for word in arguments):
         return []
     # Two trainings in one second would have one directory.
@@ -164,7 +164,7 @@ def small(name, arguments):
 
 
 def quick():
-    """The first line of each command, and the first training that is no sweep."""
+    """Return the first line of each command, and the first training that is not a sweep."""
     found = {}
     for line in LINES:
         name, arguments = parsed(line)

@@ -30,7 +30,7 @@ VERBS = set(
 
 
 def wrong(tree, inside=""):
-    """Line, name and first words of each public docstring that begins with something else."""
+    """Yield line, name and first words of each public docstring that does not begin with a verb."""
     for node in ast.iter_child_nodes(tree):
         if not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
             if isinstance(node, (ast.If, ast.Try, ast.With)):

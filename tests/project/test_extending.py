@@ -1,4 +1,4 @@
-"""The extension examples: each is a stranger's package of one file and one YAML, trained, evaluated and resumed."""
+"""Each extension example is a separate package of one file and one YAML; it trains, is evaluated and resumes."""
 
 import re
 import shlex
@@ -12,7 +12,7 @@ FOLDERS = sorted(path.name for path in EXTENDING.iterdir() if path.is_dir())
 
 
 def said(folder):
-    """The command that an example's file shows, as words."""
+    """Return the words of the command that an example's file shows."""
     (file,) = (EXTENDING / folder).glob("*.py")
     shown = re.search(r"PYTHONPATH=(\S+) (python .*?)\n(?:\n|\"\"\")", file.read_text(encoding="utf-8"), re.DOTALL)
     return shown[1], shlex.split(shown[2].replace("\\\n", " "))
@@ -20,7 +20,7 @@ def said(folder):
 
 @pytest.fixture(params=FOLDERS)
 def trained(request, tmp_path, monkeypatch):
-    """A tiny run made with the command that an example shows."""
+    """Train a tiny run with the command that an example shows."""
     path, arguments = said(request.param)
     monkeypatch.chdir(EXTENDING.parents[1])
     monkeypatch.syspath_prepend(path)
@@ -30,7 +30,7 @@ def trained(request, tmp_path, monkeypatch):
 
 
 def without(folder):
-    """Settings of tiny trainings that an example has no use for."""
+    """Return the settings of tiny trainings that an example does not use."""
     return ("network.hidden",) if folder == "network" else ()
 
 

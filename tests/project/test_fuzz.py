@@ -1,4 +1,4 @@
-"""Whatever a command or a file says: success, or one clean error. No hang, no crash, nothing written elsewhere.
+"""Any command line or file ends in success or one clean error, without hang, crash or files elsewhere.
 
 A fast part by default; the long form with ``pytest -m nightly tests/project/test_fuzz.py``.
 """
@@ -120,7 +120,7 @@ def check_files(run, here, number, damage, number_too, kind):
 
 
 def delete_some(text, numbers):
-    """Without some of its elements and attributes."""
+    """Delete some elements and attributes."""
     for number in numbers:
         pieces = list(re.finditer(r'<\w[^<>]*/>|\s\w+="[^"]*"|</?\w+[^<>]*>', text))
         piece = pieces[number % len(pieces)] if pieces else None
@@ -130,7 +130,7 @@ def delete_some(text, numbers):
 
 
 class Worker:
-    """A process that reads robots, and is started anew when MuJoCo ends it."""
+    """Read robots in a process that is started anew when MuJoCo ends it."""
 
     def __init__(self):
         self.process, self.crashes = None, 0
@@ -195,7 +195,7 @@ def cases(count):
 
 
 def both(fast, long):
-    """Marks of the fast and the long form."""
+    """Return marks of the fast and the long form."""
     return pytest.mark.parametrize("count", [fast, pytest.param(long, marks=pytest.mark.nightly)])
 
 

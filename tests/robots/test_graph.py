@@ -1,4 +1,4 @@
-"""The paper's two graphs and its equations 1 to 7, by hand; the presets; the mirror."""
+"""The paper's two graphs and its equations 1 to 7 by hand, the presets, and the mirror."""
 
 import numpy as np
 import pytest

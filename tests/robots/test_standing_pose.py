@@ -1,4 +1,4 @@
-"""Where robots stand and start: shipped ones in their reference pose, others as their MJCF says or on the ground."""
+"""Shipped robots stand and start in their reference pose, others as their MJCF says or on the ground."""
 
 import mujoco
 import numpy as np
@@ -24,7 +24,7 @@ def key(text, name, *qpos):
 
 
 def starts(robot):
-    """``qpos`` at the start of an episode without noise, on both backends."""
+    """Return ``qpos`` at the start of an episode without noise, on both backends."""
     task = walking(robot, **STILL)
     simulation, env = Simulation(task, 2, threads=1), load(task)
     simulation.reset(np.ones(2, dtype=bool))

@@ -1,4 +1,4 @@
-"""The policy in the package: whole, small, a walk, and what commands use that are given no run."""
+"""The policy in the package is complete, small and walks, and commands without a run use it."""
 
 import importlib
 import json

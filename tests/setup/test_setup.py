@@ -1,4 +1,4 @@
-"""What a training derives from its settings is derived once: the robot is compiled once, its graph built once."""
+"""A training compiles its robot once, and builds its graph once."""
 
 import mujoco
 import pytest
@@ -12,7 +12,7 @@ FROM_ROBOT = KinematicGraph.from_robot.__func__
 
 @pytest.fixture
 def seen(monkeypatch):
-    """What was read and compiled, and over which robots graphs were built, in order."""
+    """Record which files are read and compiled, and over which robots graphs are built, in order."""
     found = []
 
     def load(source):

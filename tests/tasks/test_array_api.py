@@ -18,7 +18,7 @@ from gctd3.tasks.terms import RewardTerm, Step, Termination
 
 
 def of(module, kind):
-    """Every term of a kind that a module defines."""
+    """Return every term of a kind that a module defines."""
     found = [item for _, item in inspect.getmembers(module, inspect.isclass) if item.__module__ == module.__name__]
     return [item for item in found if issubclass(item, kind)]
 
@@ -44,7 +44,7 @@ def facts(request):
 
 
 def measurements(facts, shape, steps=40):
-    """Random ones that cross every threshold now and then."""
+    """Draw random measurements that cross every threshold now and then."""
     rng = np.random.default_rng(0)
     return [
         Measurement(
@@ -63,7 +63,7 @@ def measurements(facts, shape, steps=40):
 
 
 def played(facts, seen, convert):
-    """What every step remembers, ends and pays, in the library that ``convert`` converts to."""
+    """Return the memory, terminations and rewards of every step, in the library that ``convert`` converts to."""
     rng, shape = np.random.default_rng(1), seen[0].position.shape
     rewards = {name: term for name, term in REWARDS.items() if term.applies(facts)}
     asked = {one.name: one for term in (*rewards.values(), *ENDS.values()) for one in term.remembers()}
@@ -112,7 +112,7 @@ def test_numpy_and_torch_agree(facts, shape):
 
 
 def test_what_is_remembered_is_left_as_it_was(facts):
-    """Nothing changes in place: what a step began with is what the next one may still read."""
+    """No array of the memory changes in place: the next step may still read it."""
     seen = measurements(facts, (3,))
     for convert in (np.array, torch.tensor):
         memories = [step["memory"] for step in played(facts, seen, convert)]

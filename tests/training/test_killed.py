@@ -1,4 +1,4 @@
-"""Trainings that end by a signal, a kill at any moment, a second training or a full disk, and go on from there."""
+"""Trainings ended by a signal, a kill, a second training or a full disk continue from their checkpoint."""
 
 import errno
 import math
@@ -167,7 +167,7 @@ train.main()
 
 
 def killed_before(run, flushes):
-    """Kill a training before it flushes a file; the kind of the file."""
+    """Kill a training before it flushes a file; return the kind of the file."""
     code = DYING.format(left=flushes, arguments=tiny(run, OFTEN))
     killed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert killed.returncode == 9, killed.stderr
@@ -200,7 +200,7 @@ def test_a_kill_before_any_file_of_a_checkpoint_leaves_the_one_before(finished, 
 
 
 def test_a_file_that_finds_no_room_leaves_the_last_checkpoint(finished, tmp_path, monkeypatch, capsys):
-    """As on a full disk, from the third file of the second checkpoint on."""
+    """A disk that is full from the third file of the second checkpoint on leaves the first checkpoint whole."""
     whole, run = finished["gctd3"], tmp_path / "run"
     monkeypatch.setattr("gctd3.training.trainer.MOST_TIME", math.inf)
     flushed, flush = [], files._flush

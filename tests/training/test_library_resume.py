@@ -1,4 +1,4 @@
-"""Tasks of other libraries go on as if nothing had happened: runs, and single robots across the end of an episode."""
+"""Tasks of other libraries resume exactly: runs, and single robots across the end of an episode."""
 
 import pytest
 import torch
@@ -38,7 +38,7 @@ def test_stopped_and_resumed_equals_left_alone(tmp_path, task, every):
 
 
 def follow(env, state, actions):
-    """What every step gave, and the state after the last."""
+    """Return every step's outputs, and the state after the last."""
     seen = []
     for action in actions:
         step, state = env.step_and_maybe_reset(state.set("action", action))

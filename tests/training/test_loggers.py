@@ -1,4 +1,4 @@
-"""``logger=wandb`` and ``logger=mlflow``: a run of theirs for each training, with its numbers and its films."""
+"""``logger=wandb`` and ``logger=mlflow`` make a run for each training, with its numbers and its films."""
 
 import shutil
 from pathlib import Path
@@ -22,7 +22,7 @@ def _short(monkeypatch, tmp_path):
 
 
 def trainings(root, kind):
-    """Two in one process, as in a sweep."""
+    """Train twice in one process, as in a sweep."""
     return [train(root / name, f"logger={kind}", "video=true", without=("logger",)) for name in ("first", "second")]
 
 

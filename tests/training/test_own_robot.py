@@ -1,4 +1,4 @@
-"""A robot of one's own with settings of its own: a YAML outside the package."""
+"""A custom robot trains with settings of its own, from a YAML outside the package."""
 
 import pytest
 from fuzzing import answered

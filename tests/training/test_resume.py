@@ -1,4 +1,4 @@
-"""Going on as if nothing had happened: stopped or extended runs against ones that were left alone."""
+"""Stopped and extended runs equal runs that were left alone."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""Files of a run are data: whatever stands in their place, nothing of it is run."""
+"""Files of a run are data: no code in any of them is executed."""
 
 import pickle
 import re
@@ -18,7 +18,7 @@ from gctd3.training.saved_configuration import load_settings
 
 
 class Evil:
-    """What unpickling this would do: create a file."""
+    """Create a file when unpickled."""
 
     def __init__(self, marker):
         self.marker = marker
@@ -33,7 +33,7 @@ def run(finished):
 
 
 def evil_files(folder, marker):
-    """A plain pickle and torch's zip of one."""
+    """Make a plain pickle and torch's zip of one."""
     plain, zipped = folder / "plain", folder / "zipped"
     plain.write_bytes(pickle.dumps(Evil(marker)))
     torch.save(Evil(marker), zipped)
@@ -51,7 +51,7 @@ def test_the_evil_files_are_evil(tmp_path):
 
 
 def test_nothing_of_a_run_is_executed(tmp_path, capsys, run):
-    """Even with the checksums that belong to it."""
+    """Code in a run's files is not executed, even with valid checksums."""
     marker = tmp_path / "marker"
     files = [path.relative_to(run) for path in run.rglob("*") if path.is_file() and path.name != ".lock"]
     assert {"config.yaml", "manifest.json", "policy.safetensors", "state.safetensors"} <= {path.name for path in files}
@@ -91,7 +91,7 @@ class Settings(TD3Settings):
 
 
 def test_no_stranger_is_imported_unless_it_is_allowed(tmp_path, monkeypatch, capsys, run):
-    """Somebody else's run names a module that this machine can import."""
+    """A module named in somebody else's run is not imported unless it is allowed, even if it is installed."""
     marker, broken = tmp_path / "marker", Path(shutil.copytree(run, tmp_path / "run"))
     (tmp_path / "stranger.py").write_text(STRANGER.format(marker=str(marker)))
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -124,7 +124,7 @@ def test_a_command_line_may_name_modules_of_ones_own(tmp_path, monkeypatch):
 
 
 def seal(run):
-    """Make every manifest say that the files beside it are right."""
+    """Write the files' checksums into every manifest."""
     for manifest in run.glob("checkpoints/*/manifest.json"):
         content = read_manifest(manifest.parent)
         content["files"] = {name: checksum(manifest.parent / name) for name in content["files"]}
@@ -134,7 +134,7 @@ def seal(run):
 
 
 def test_nothing_in_the_library_could():
-    """No way to run what a file holds is used anywhere."""
+    """The library uses no function that can execute the content of a file."""
     forbidden = r"\b(pickle|cPickle|dill|joblib|marshal|shelve|torch\.load|torch\.jit\.load|unsafe_load|full_load)\b"
     yaml_load = r"\byaml\.(load|load_all|unsafe\w*)\b(?!.*SafeLoader)|(?<!\.)\b(eval|exec)\("
     sources = [*Path(gctd3.__file__).parent.rglob("*.py")]

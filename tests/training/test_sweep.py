@@ -1,4 +1,4 @@
-"""Sweeps: the ready ones, runs side by side, what stops and crashes, and how a report tells their runs apart."""
+"""Sweeps: the ready ones, runs side by side, stopped and crashed runs, and their names in a report."""
 
 import functools
 import os
@@ -36,7 +36,7 @@ SEEDS = (0, 1)  # of the five: composing takes its time
 
 @functools.cache
 def params(experiment):
-    """What a ready sweep sweeps over, as a command line would say it."""
+    """Return the parameters of a ready sweep, as a command line would give them."""
     with initialize_config_module("gctd3.conf", version_base="1.3"):
         whole = compose("config", [f"experiment={experiment}"], return_hydra_config=True)
         return dict(whole.hydra.sweeper.params)
@@ -44,7 +44,7 @@ def params(experiment):
 
 @functools.cache
 def jobs(experiment):
-    """Command line and configuration of each run of a ready sweep, for some of its seeds."""
+    """Return command line and configuration of each run of a ready sweep, for some of its seeds."""
     over = {key: str(value).split(",") for key, value in params(experiment).items() if key != "seed"}
     found = []
     with initialize_config_module("gctd3.conf", version_base="1.3"):
@@ -127,7 +127,7 @@ def arguments(directory, *overrides, **changed):
 
 
 def beside(directory, *overrides, **changed):
-    """A sweep with two runs at once, in a process group of its own, as a terminal has it."""
+    """Start a sweep with two runs at once, in a process group of its own, as a terminal does."""
     more = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2", *overrides]
     module = [sys.executable, "-m", "gctd3.train", *arguments(directory, *more, **changed)]
     return subprocess.Popen(module, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
@@ -179,7 +179,7 @@ def test_a_missing_plugin_is_named():
 
 
 class Crashing(Recorded):
-    """Its second update fails for seed 0."""
+    """Fail at the second update for seed 0."""
 
     def _evaluate(self):
         if self.settings.seed == 0 and self.counters.frames > 100:

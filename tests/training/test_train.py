@@ -1,4 +1,4 @@
-"""From the command line to what a run leaves behind."""
+"""A training from the command line, and the files that it leaves."""
 
 import json
 import math
@@ -32,7 +32,7 @@ PROMISED = (
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """One run of each algorithm, trained when first asked for: its directory and its trainer."""
+    """Train one run of each algorithm when first asked for: its directory and its trainer."""
     made = {}
 
     def get(algorithm):

@@ -1,4 +1,4 @@
-"""Pictures of a walk: the walk that is evaluated, marks and sizes as asked, files that read back, any OpenGL."""
+"""Pictures of a walk show the evaluated walk, with marks and sizes as asked, and need any one OpenGL."""
 
 import os
 import subprocess
@@ -129,7 +129,7 @@ CODE = "from gctd3.viz.offscreen import find_backend; print(find_backend())"
 
 
 def backend(**environment):
-    """What a fresh process without a screen finds."""
+    """Return the backend that a fresh process without a screen finds."""
     kept = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM", "DISPLAY")}
     done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, env=kept | environment)
     return done.stdout.strip() or done.stderr.strip().splitlines()

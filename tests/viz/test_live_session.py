@@ -1,4 +1,4 @@
-"""A walk that is watched: pushes, payload and friction are what physics says they are."""
+"""Pushes, payload and friction of a live walk have the effects that mechanics predicts."""
 
 import mujoco
 import numpy as np
@@ -12,7 +12,7 @@ from gctd3.viz.live_session import LiveWalk
 
 
 def live(name="biped", endless=False, **settings):
-    """A walk that stands: every servo in the middle of its range, but the biped's at straight legs."""
+    """Make a walk that stands: every servo in the middle of its range, but the biped's at straight legs."""
     robot = Robot.from_mjcf(name)
     low, high = robot.action_range.T
     still = torch.tensor(-(high + low) / (high - low) if name == "biped" else 0 * low, dtype=torch.float32)
@@ -22,7 +22,7 @@ def live(name="biped", endless=False, **settings):
 
 
 def momentum(walk):
-    """Of the whole robot, shape [3] (kg m/s)."""
+    """Return the whole robot's momentum, shape [3] (kg m/s)."""
     model, data = walk.robot.model, walk.show()
     mujoco.mj_subtreeVel(model, data)
     root = model.body(walk.robot.root).id
