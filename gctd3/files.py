@@ -1,6 +1,6 @@
 """Files that are written completely or not at all: state as tensors and JSON in one safetensors file, with a checksum.
 
-Nothing here is pickled, so reading a file never runs what it holds.
+Nothing here is pickled, so reading a file never executes code from it.
 """
 
 from __future__ import annotations

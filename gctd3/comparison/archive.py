@@ -25,7 +25,9 @@ def check_keep(runs: Path, out: Path) -> None:
     if (out / FOLDER).exists():
         raise RunError(f"{out / FOLDER} exists already: remove it, or choose another out, for keep_runs=true.")
     if out.resolve().is_relative_to(runs.resolve()):
-        raise RunError(f"out={out} is below runs={runs}, whose next report would find what keep_runs=true keeps there.")
+        raise RunError(
+            f"out={out} is below runs={runs}, whose next report would find the runs kept there a second time."
+        )
 
 
 def keep(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = ()) -> None:

@@ -11,7 +11,7 @@ from gctd3.evaluation.settings import EpisodeSettings
 from gctd3.runs.evaluate import EVALUATION, ROBUSTNESS
 from gctd3.training.checkpoint import FOLDER
 
-# Keys that must be equal for numbers to be comparable, by the name of what they set.
+# Keys that must be equal for numbers to be comparable, by the name of the subject.
 TOGETHER = {
     "robot": ("robot.name", "robot.feet", "robot.forward"),
     "task": ("task._target_", "task.library", "task.name", "task.control_dt", "task.randomisations", "task.commands"),
@@ -43,7 +43,7 @@ def check_together(runs: Sequence[Run]) -> None:
         problems.append(f"  the reward of {EVALUATION}; evaluate them again under one")
     tried = {json.dumps(run.robustness["perturbations"], sort_keys=True) for run in runs if run.robustness}
     if len(tried) > 1:
-        problems.append(f"  what {ROBUSTNESS} tried; examine them again with the same perturbations")
+        problems.append(f"  the perturbations of {ROBUSTNESS}; examine them again with the same perturbations")
     if problems:
         raise RunError("These runs do not belong in one report; they differ in\n" + "\n".join(problems))
 

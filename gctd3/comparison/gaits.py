@@ -53,7 +53,7 @@ def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
     meaning = "RMS against its mirror image half a stride later; 0 is symmetric"
     joints = [(key, f"asymmetry, {key.removeprefix(ASYMMETRY).replace('_', ' ')}", "rad", 3, meaning) for key in keys]
     counts = [f"{sum(bool(run.gait) for run in runs)} of {len(runs)}" for runs in groups.values()]
-    evaluated = ["seeds evaluated here", "", *counts, "those of whose episodes any got 10 m far"]
+    evaluated = ["seeds evaluated here", "", *counts, "seeds with an episode that got 10 m far"]
     rows = []
     for key, name, unit, digits, meaning in (*GAIT, *joints):
         cells = [_gait_cell(runs, key, digits) for runs in groups.values()]
@@ -62,8 +62,8 @@ def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
     return Table(
         "gait",
         "Gaits",
-        "Over the last 10 m of the episodes that got that far: mean over seeds (lowest to highest). What only strides "
-        "have is given of seeds at least half of whose episodes have them.",
+        "Over the last 10 m of the episodes that got that far: mean over seeds (lowest to highest). Metrics of strides "
+        "cover the seeds with strides in at least half of these episodes.",
         ("", UNIT, *groups, MEANING),
         [evaluated, *rows] if rows else [],
     )

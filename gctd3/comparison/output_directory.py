@@ -37,7 +37,7 @@ def check_place(out: Path, runs: Path) -> None:
     if others:
         raise RunError(
             f"out={out} holds {', '.join(others[:3])}{', ...' * (len(others) > 3)}, but no report that could be "
-            "replaced: choose a directory that is empty or not there yet."
+            "replaced: choose a new or empty directory."
         )
 
 

@@ -93,7 +93,7 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
         if figure is not None:
             caption = (
                 "Interquartile mean over seeds (their number in brackets) and its 95 % bootstrap interval; a dot where "
-                "a run ended, whose last value stands from there on."
+                "a run ended; from there on its last value counts."
             )
             if at_limit is not None:
                 caption += " Dashed, where the groups are compared at equal wall-clock."
@@ -113,7 +113,7 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
         compared.append(gallery.add(chances, "improvement", "Probability of improvement", caption))
 
     if any(typical(with_trace(members)) for members in groups.values()):
-        caption = "Of the typical episode of the run whose return is its group's median."
+        caption = "The typical episode of the run with the group's median return."
         compared.append(gallery.add(figures.body_height(groups), "body_height", "Body height", caption))
 
     table5 = tables.table5(groups, robot, walks and named[0] == "biped")

@@ -118,7 +118,7 @@ def find_runs(root: Path) -> list[Run]:
 
 
 def lost_runs(root: Path) -> list[str]:
-    """Return names of runs below ``root`` of which nothing is known: the configuration is empty or missing."""
+    """Return the names of runs below ``root`` whose configuration is empty or missing."""
     return [_name(directory, root) for directory in _directories(root) if not _configured(directory)]
 
 
@@ -160,7 +160,7 @@ def _trouble(run: Run) -> str | None:
         try:
             return f"crashed: {read_manifest(run.directory / POST_MORTEM)['error']}"
         except (RunError, KeyError):
-            return f"crashed; what is in {POST_MORTEM} cannot be read"
+            return f"crashed; {POST_MORTEM} cannot be read"
     config, rows = run.config, run.rows
     if "total_frames" not in config:
         return None

@@ -15,7 +15,7 @@ class ReportSettings(EpisodeSettings):
         episodes: Episodes for evaluating runs that have no evaluation.json; must equal those of existing evaluations.
         seed: Seed of the starts of these episodes, likewise.
         runs: Directory below which the runs are: a sweep of gctd3.train -m, or any folder of runs.
-        out: Directory to write to: empty, not there yet, or that of an earlier report, which is replaced.
+        out: Directory to write to: a new or empty one, or one with an earlier report, which is replaced.
         keep_runs: Also copy there, as runs, the data behind the numbers (some 10 kB a run): runs=OUT/runs makes the
             same report.
     """

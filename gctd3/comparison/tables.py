@@ -126,10 +126,10 @@ def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
         f"What each run had reached after {limit.text} of wall-clock: the median training time of {limit.group}, the "
         "shortest of all groups' (of runs that came to their end). Return and success are those of the policy that "
         "the run would have kept if it had been stopped then, which is the one that stop_when ranks first of those "
-        "evaluated until then. They are of evaluations in training, by which that policy was chosen: not of Table 5's "
-        "episodes, and rather too high. Frames and updates are interpolated between evaluations; a run that ended "
-        "sooner stays as it was. Interquartile means over seeds with 95 % intervals. Wall-clock depends on the machine "
-        "and on what else ran there.",
+        "evaluated until then. They come from evaluations in training, by which that policy was chosen, not from Table "
+        "5's episodes, and are biased upwards. Frames and updates are interpolated between evaluations; a run that "
+        "ended sooner keeps its last values. Interquartile means over seeds with 95 % intervals. Wall-clock depends on the "
+        "machine and on its other programs.",
         (
             "",
             "seeds evaluated",
@@ -166,7 +166,7 @@ def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table
         "robustness",
         "Robustness",
         "Mean over seeds (lowest to highest), each by itself, the policy as it was trained. A push's number is the "
-        "largest impulse that is survived whenever in the stride it comes: the robot goes on for "
+        "largest impulse that is survived at every phase of the stride: the robot walks on for "
         f"{perturbations['recover']:g} s, at all {perturbations['starts']} starts, and with every smaller impulse; "
         f"{perturbations['impulses'][-1]:g} N s is the largest that was tried.",
         ("", UNIT, *groups),

@@ -114,7 +114,7 @@ def comparisons(groups: Mapping[str, Sequence[Run]], limit: Limit | None) -> lis
     for key, what, unit, digits, more in COMPARED:
         for other in others:
             pair = [(name, scores(groups[name], key)) for name in (first, other)]
-            # The times of those that got there say little of a group whose others never did.
+            # Times of the seeds that reached the finish say little about a group in which others never did.
             if key == MINUTES and (not timed or _unfinished([first, other], groups)):
                 continue
             if any(values for _, values in pair):

@@ -1,4 +1,4 @@
-"""Read settings: the fields of a dataclass, their types, their defaults as YAML has them, and what they mean. Light.
+"""Read settings: the fields of a dataclass, their types, their defaults as YAML has them, and their meanings. Light.
 
 A setting's default stands in its dataclass and nowhere else, and its meaning and unit in the ``Attributes:`` of that
 dataclass's docstring. Command lines, ``--help`` and the reference all read them here.

@@ -74,7 +74,7 @@ def root_of(command: str) -> str:
 
 
 def conf() -> Path:
-    """Find the folder of YAMLs, without importing it: that is for Hydra, which completes what it reads there."""
+    """Find the folder of YAMLs, without importing it: the import, which Hydra makes, installs the completion."""
     spec = find_spec(CONF)
     assert spec is not None and spec.submodule_search_locations is not None
     return Path(next(iter(spec.submodule_search_locations)))
@@ -97,7 +97,7 @@ def overview() -> str:
             "",
             *rows,
             "",
-            "Each takes key=value arguments and says which with --help. Scripts do the same: gctd3-train and so on.",
+            "Each takes key=value arguments and lists them with --help. Scripts do the same: gctd3-train and so on.",
             "To begin:  python -m gctd3.view, to see it walk, and python -m gctd3.train algo=gctd3, to train it.",
         ]
     )
@@ -112,7 +112,7 @@ def help_of(command: str) -> str:
     if chosen:
         lines += ["", "Choices (group=option), each of which brings keys of its own:", *_table(chosen)]
         lines += ["", f"`python -m gctd3.{command} --cfg job` shows every key, also after choices on the same line."]
-        lines += ["`python -m gctd3.config.reference` says what each of them means."]
+        lines += ["`python -m gctd3.config.reference` explains each of them."]
     return "\n".join(lines)
 
 

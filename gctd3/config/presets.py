@@ -1,4 +1,4 @@
-"""Read the YAMLs of conf/ without Hydra: what each is for, what it builds on, which keys it sets and why. Light."""
+"""Read the YAMLs of conf/ without Hydra: the purpose of each, its base, its keys and their reasons. Light."""
 
 from __future__ import annotations
 

@@ -14,9 +14,9 @@ from gctd3.config.presets import Preset, groups, presets
 
 HEAD = """# Configuration
 
-Every command takes `key=value` arguments. The default of a key is that of a dataclass, so that Python and the command
-line have the same; an option of a group, as in `algo=td3`, changes some of its keys: `conf/` says which and why. A key
-on the command line wins over options, an option over defaults. `python -m gctd3.COMMAND --cfg job` shows the result.
+Every command takes `key=value` arguments. A key's default is that of a dataclass's field, so that Python and the command
+line agree; an option of a group, as in `algo=td3`, changes some of its keys: `conf/` says which and why. A key on the
+command line overrides options, and an option overrides defaults. `python -m gctd3.COMMAND --cfg job` shows the result.
 
 This page is written by `python -m gctd3.config.reference`, from those dataclasses and YAMLs.
 """
@@ -86,7 +86,7 @@ def _groups() -> Iterator[str]:
                 listed = list(rows(settings, prefix=prefix))
                 yield from _table(listed) if listed else ["It has none."]
                 yield ""
-        yield from ["| option | what it is, and changes |", "|---|---|"]
+        yield from ["| option | meaning, and changes |", "|---|---|"]
         yield from (f"| `{preset.name}` | {_told(preset, options)} |" for preset in options)
         yield ""
 

@@ -23,8 +23,8 @@ class Rhythm(torch.nn.Module):
     those. A joint without a mirror image follows its own sine.
 
     With ``mutation_share`` the gaits evolve: every robot remembers its gait that got farthest, and that share of new
-    gaits are mutations of what a few robots remember, of the farthest among them. So a robot that has to balance,
-    which hardly any drawn gait does, soon tries gaits that do.
+    gaits are mutations: the parent of each is the farthest of the gaits that a few random robots remember. So a robot
+    that has to balance, which hardly any random gait does, soon tries gaits that do.
 
     Args:
         robot: The robot.

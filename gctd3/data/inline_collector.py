@@ -35,7 +35,7 @@ class InlineCollector:
         """Collect the next steps, batch size ``[N, T]``.
 
         Raises:
-            NumericalError: If what the policy sees or its action is not finite.
+            NumericalError: If the policy's observation or its action is not finite.
         """
         taken = []
         with torch.no_grad():

@@ -16,7 +16,7 @@ from gctd3.errors import ConfigError, WorkerError
 
 ANSWER = 5.0  # s, that a head node may take to accept a connection
 JOIN = 30.0  # s, that joining a cluster may take
-PROBE = 60.0  # s, that the nodes may take to say what is installed on them
+PROBE = 60.0  # s, that the nodes may take to report their installed packages
 # Packages that learner and workers must have alike: they exchange pickled settings, networks and steps.
 ALIKE = ("gctd3", "torch", "torchrl", "tensordict", "mujoco")
 
@@ -26,7 +26,7 @@ def check_cluster(address: str | None, workers: int, cpus: int) -> None:
 
     Raises:
         ConfigError: If Ray is not installed, nothing answers at the address, or the CPUs do not suffice.
-        WorkerError: If the nodes have other versions of what matters than this machine.
+        WorkerError: If a node has another version of a required package than this machine.
     """
     if find_spec("ray") is None:
         raise ConfigError("collector=ray needs its package: pip install 'gctd3[ray]'.")
@@ -59,9 +59,7 @@ def _connect(address: str | None) -> None:
     try:
         joined.result(None if address is None else JOIN)
     except concurrent.futures.TimeoutError as error:
-        raise ConfigError(
-            f"collector.address={address}: what listens there has not answered as a Ray cluster in {JOIN:g} s."
-        ) from error
+        raise ConfigError(f"collector.address={address}: no Ray cluster has answered there in {JOIN:g} s.") from error
     except Exception as error:  # Ray raises bare ones too
         reason = " ".join(line.strip() for line in str(error).splitlines()[:4]) or type(error).__name__
         if address is None:
@@ -79,8 +77,8 @@ def _check_answers(address: str) -> None:
         socket.create_connection((host, int(port)), timeout=ANSWER).close()
     except (OSError, OverflowError) as error:
         raise ConfigError(
-            f"collector.address={address}: nothing answers there ({error}). It is what `ray start --head` printed, "
-            "port 6379 by default; null starts a cluster on this machine."
+            f"collector.address={address}: nothing answers there ({error}). The address is printed by `ray start "
+            "--head`, port 6379 by default; null starts a cluster on this machine."
         ) from error
 
 

@@ -1,4 +1,4 @@
-"""Settings of exploration, replay and collectors. Importing them is cheap: what they set is imported when built."""
+"""Settings of exploration, replay and collectors. Light: the classes that they build are imported in ``build``."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class ExplorationSettings:
 
 @dataclass(frozen=True)
 class ReplaySettings:
-    """Hold the settings of the replay: what is stored and how it is drawn.
+    """Hold the settings of the replay: how transitions are stored and drawn.
 
     Attributes:
         buffer_size: Transitions kept; the oldest leave first.
@@ -192,7 +192,7 @@ class RaySettings(ProcessSettings):
 
         Raises:
             ConfigError: If Ray is not installed, nothing answers at the address, or the CPUs do not suffice.
-            WorkerError: If the nodes have other versions of what matters than this machine.
+            WorkerError: If a node has another version of a required package than this machine.
         """
         super().check_here(num_envs)
         from gctd3.data.ray_cluster import check_cluster

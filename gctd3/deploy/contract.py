@@ -1,4 +1,4 @@
-"""The contract of an exported policy: which readings make its input, and what its output means.
+"""The contract of an exported policy: the readings in its input, and the meaning of its output.
 
 It is written beside the policy as JSON whose keys are the attributes below, with units in their names. Robots read it,
 so this module needs the standard library only.
@@ -219,7 +219,7 @@ def parse_contract(text: str) -> Contract:
     return contract
 
 
-def _read(value: Any, hint: Any, where: str) -> Any:  # noqa: ANN401 - JSON to whatever the hint says
+def _read(value: Any, hint: Any, where: str) -> Any:  # noqa: ANN401 - JSON to the hinted type
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
     if dataclasses.is_dataclass(hint) and isinstance(value, Mapping):
         hints = typing.get_type_hints(hint)

@@ -166,7 +166,7 @@ class Policy:
         return ReadingError(message, self.command)
 
 
-def _number(value: Any) -> float:  # noqa: ANN401 - whatever a sensor's driver gives
+def _number(value: Any) -> float:  # noqa: ANN401 - a sensor driver's output
     """Convert a reading to a float; NaN if it is not a number, or too large for float32."""
     try:
         number = math.nan if isinstance(value, (str, bytes)) else float(value)

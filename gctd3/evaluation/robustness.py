@@ -128,7 +128,7 @@ def largest(rates: np.ndarray, impulses: Sequence[float]) -> np.ndarray:
 
 
 def weakest(results: Mapping[str, Any], direction: str) -> float:
-    """Return the largest impulse (N s) that is survived at every phase; NaN if nobody was pushed at one of them."""
+    """Return the largest impulse (N s) that is survived at every phase; NaN if no robot was pushed at one of them."""
     impulses = ((results.get("pushes") or {}).get("largest") or {}).get(direction, ())
     return math.nan if not impulses or None in impulses else float(min(impulses))
 

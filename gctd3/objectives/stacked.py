@@ -91,7 +91,7 @@ class StackedLoss(compat.LossHooks):
         self._copies.clear()
 
     def more_in_keys(self) -> list[Any]:
-        """Name what critics read of the next state besides what the actor reads."""
+        """Name the keys of the next state that critics read and the actor does not."""
         critic, action = self.qvalue_network, self.tensor_keys.action  # type: ignore[attr-defined]
         return [("next", key) for key in critic.in_keys if key != action]
 

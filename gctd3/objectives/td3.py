@@ -27,7 +27,7 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
     two differences: critics whose layers can be stacked (:mod:`gctd3.nn.stacking`) run as one batched module (no
     ``vmap``; the actor's loss evaluates the one critic that it uses, so that ``state_action_value_actor`` is ``[*]``
     instead of ``[E, *]``), and the critics' ``in_keys`` are taken from the whole batch, where TorchRL passes on only
-    what the actor reads.
+    the actor's inputs.
 
     TorchRL sets exploration type and recurrent mode around every method that ends in ``loss``. :meth:`of_actor` and
     :meth:`of_critics` give the same losses without setting them, for networks of gctd3's layers, which know neither.

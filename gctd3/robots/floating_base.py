@@ -1,4 +1,4 @@
-"""The degrees of freedom of a robot's root body: on a boom, in a plane, or free, whatever joints give them.
+"""The degrees of freedom of a robot's root body: on a boom, in a plane, or free, made of any joints.
 
 Frame: forward as the caller says, up, and side to the left of both. Angles: roll about forward, pitch about side (nose
 down is positive), yaw about up (to the left is positive).

@@ -236,6 +236,6 @@ def named_pose(model: mujoco.MjModel) -> tuple[str, np.ndarray] | None:
 
 
 def standing_pose(model: mujoco.MjModel) -> np.ndarray:
-    """Return the ``qpos`` of the named standing pose, else of the reference pose, at whatever height. ``[nq]``."""
+    """Return the ``qpos`` of the named standing pose, else of the reference pose, at any height. ``[nq]``."""
     named = named_pose(model)
     return model.qpos0.copy() if named is None else named[1]

@@ -24,7 +24,7 @@ from gctd3.robots.standing_pose import check_standing, find_standing, find_start
 
 @dataclass(frozen=True)
 class Robot:
-    """Represent a robot with a root body and joints below it; :meth:`check_walking` checks what else walking requires.
+    """Represent a robot with a root body and joints below it; :meth:`check_walking` checks the requirements of walking.
 
     Build it with :meth:`from_mjcf`, which reads its properties from the model.
 
@@ -270,7 +270,7 @@ class Robot:
         """Check the requirements for walking: base, hinges, position servos, legs, contact sensors, pose and mirror.
 
         Raises:
-            RobotError: If something is missing; the message says what to add.
+            RobotError: If something is missing; the message names the remedy.
         """
         model, file = self.model, self.path
         self.base.check_read(file)

@@ -21,7 +21,7 @@ from gctd3.training.saved_configuration import find_run
 from gctd3.viz.live_session import LiveWalk
 
 PACKAGES = ("viser", "mjviser")
-SHIPPED = "shipped with gctd3"  # what the policy in the package is called among runs
+SHIPPED = "shipped with gctd3"  # name of the policy in the package among runs
 
 
 def open_walk(run: str, settings: ViewSettings) -> LiveWalk:

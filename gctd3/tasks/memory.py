@@ -93,7 +93,7 @@ class EpisodeMemory:
         over = np.asarray(left <= 0)
         if not over.any():
             return {key: before[key], timer: left}
-        # All are drawn, so that how many are over does not change what the others get.
+        # Rows for all robots are drawn, so that the number of due robots does not change the others' commands.
         fresh = self._drawn(name, command, over.shape, rng)
         return {
             key: np.where(over[..., None], fresh[key], before[key]),

@@ -258,7 +258,7 @@ class SimulatedTask:
         taken = action if action is not None else np.zeros((*shape, self.facts.actions))
         after: Memory = {}
         ended: dict[str, np.ndarray] = {}
-        # One step for all terms, so that what several of them derive from it is derived once.
+        # One step for all terms, so that quantities that several of them derive from it are derived once.
         step = Step(now, before, after, taken, failed, self.facts, ended)
         after.update(self.memory.advance(step, rng))
         ended.update({name: term(step) for name, term in self.terminations.items()})

@@ -1,4 +1,4 @@
-"""Checks of the terms of a task, with errors that name the key and what is accepted."""
+"""Checks of the terms of a task, with errors that name the key and the accepted values."""
 
 from __future__ import annotations
 

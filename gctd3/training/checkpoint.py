@@ -182,8 +182,8 @@ class Checkpoints:
             yield
         except OSError as error:
             raise RunError(
-                f"Cannot write a checkpoint to {self.directory}: {error.strerror or error}. What was written before is "
-                f"whole; when there is room again:  python -m gctd3.train resume={self.run}"
+                f"Cannot write a checkpoint to {self.directory}: {error.strerror or error}. Earlier checkpoints are "
+                f"whole; once there is room again:  python -m gctd3.train resume={self.run}"
             ) from error
 
     def _refuse_other_formats(self) -> None:

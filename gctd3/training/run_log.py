@@ -21,7 +21,7 @@ from gctd3.training.stop_when import COLUMNS
 from gctd3.viz.film import gif, write_animation
 
 PROGRESS, VIDEOS, CLIP_NAME = "progress.csv", "videos", "evaluation/walk"
-PROJECT = "gctd3"  # what wandb's project and mlflow's experiment are called
+PROJECT = "gctd3"  # name of wandb's project and mlflow's experiment
 
 
 class RunLog:

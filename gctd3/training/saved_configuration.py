@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from gctd3.training.settings import TrainSettings
 
 CONFIG, OVERRIDES = Path(".hydra") / "config.yaml", Path(".hydra") / "overrides.yaml"
-# What may differ when a run is continued: none of it changes what the run has learnt so far.
+# Keys that may differ when a run is continued: they do not change what the run has learnt so far.
 HARMLESS = (
     "logger",
     "video",
@@ -65,7 +65,7 @@ def load_config(run: str | Path) -> DictConfig:
     if not directory.is_dir():
         raise RunError(f"No run directory at {directory}.")
     if not file.is_file():
-        raise RunError(f"{directory} is not a run: it has no {CONFIG}. A run is what gctd3.train leaves behind.")
+        raise RunError(f"{directory} is not a run: it has no {CONFIG}. gctd3.train makes runs.")
     try:
         config = OmegaConf.load(file)
     except (OmegaConfBaseException, YAMLError, UnicodeDecodeError, OSError) as error:
@@ -109,11 +109,11 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
         overrides: Overrides of the new command line.
 
     Raises:
-        RunError: If they would change what the run is; the message lists the differences.
+        RunError: If they would change a setting that determines the run; the message lists the differences.
     """
     config, first = load_config(run), command_line(run)
     own = ("resume", "hydra.run.dir", "hydra.output_subdir")
-    # The run's own choices are said again so that Hydra knows their keys; twice they would be too many.
+    # The run's own choices are repeated so that Hydra knows their keys, but Hydra refuses a choice given twice.
     new = [item for item in overrides if item.split("=", 1)[0] not in own and item not in first]
     if not new:
         return config, first

@@ -18,7 +18,7 @@ from gctd3.training.run_lock import only_one
 from gctd3.training.saved_configuration import CONFIG, changed, save_config
 from gctd3.training.sweep import share_cores, stop_file
 
-LOG = "log.txt"  # what runs that are side by side print
+LOG = "log.txt"  # output of runs side by side
 
 
 def train(config: DictConfig) -> float:
@@ -88,11 +88,11 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
 
 @contextlib.contextmanager
 def _output(run: Path, stop: StopRequest) -> Iterator[None]:
-    """Redirect the output of a run beside others to its log: nobody could tell whose line is whose."""
+    """Redirect the output of a run beside others to its log: on one screen their lines could not be told apart."""
     if stop.file is None:
         yield
         return
-    print(f"{run}: begins; what it prints is in its {LOG}", flush=True)
+    print(f"{run}: begins; its output is in its {LOG}", flush=True)
     with (
         (run / LOG).open("a", encoding="utf-8", buffering=1) as log,
         contextlib.redirect_stdout(log),

@@ -276,7 +276,7 @@ class Trainer:
         target = self.directory / POST_MORTEM
         message = f"After {self.counters.frames:,} steps and {self.counters.updates:,} updates, {error}."
         if target.exists():
-            return NumericalError(f"{message} {target} holds what an earlier one left.")
+            return NumericalError(f"{message} {target} already holds the data of an earlier failure.")
         with new_directory(target) as aside:
             for name, batch in seen.items():
                 save_tree(aside / f"{name}.safetensors", batch.to_dict())

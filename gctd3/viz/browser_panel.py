@@ -28,7 +28,7 @@ PUSH = 1.0  # change of the whole robot's velocity by the strongest push (m/s)
 FRICTION = (0.05, 1.5)
 # Colours of a leg's joints, from the hip down, and of feet.
 COLOURS = ("#2f6fb5", "#d9772a", "#6b8f4e", "#8a4fa0", "#b5502f", "#4a4f57")
-_CAMERA, _AT = (0.4, -2.3, 0.25), (0.15, 0.0, -0.25)  # from the body, as is what it looks at (m)
+_CAMERA, _AT = (0.4, -2.3, 0.25), (0.15, 0.0, -0.25)  # position and target, from the body (m)
 
 
 class Panel:

@@ -42,7 +42,7 @@ def find_backend() -> str:
     """Find the backend to draw with: the one that ``MUJOCO_GL`` names, else the first that works.
 
     Raises:
-        RenderError: If none does; the message says what to install.
+        RenderError: If no backend works; the message names the packages to install.
     """
     known = BACKENDS.get(platform.system(), ("glfw",))
     chosen = os.environ.get(CHOICE, "").lower().strip()

@@ -204,7 +204,7 @@ def test_an_unfit_cluster_is_refused_with_its_reason(tmp_path, head, wrong):
     said = {
         "too few CPUs": "room for 1",
         "another version": "mujoco 0.0.1 on ",
-        "no Ray": "has not answered as a Ray cluster",
+        "no Ray": "no Ray cluster has answered there",
     }
     assert said[wrong] in done.stderr
     assert not (tmp_path / "run").exists()
