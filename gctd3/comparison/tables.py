@@ -128,8 +128,8 @@ def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
         "the run would have kept if it had been stopped then, which is the one that stop_when ranks first of those "
         "evaluated until then. They come from evaluations in training, by which that policy was chosen, not from Table "
         "5's episodes, and are biased upwards. Frames and updates are interpolated between evaluations; a run that "
-        "ended sooner keeps its last values. Interquartile means over seeds with 95 % intervals. Wall-clock depends on the "
-        "machine and on its other programs.",
+        "ended sooner keeps its last values. Interquartile means over seeds with 95 % intervals. Wall-clock depends on "
+        "the machine and on its other programs.",
         (
             "",
             "seeds evaluated",

@@ -14,7 +14,7 @@ from gctd3.config.presets import Preset, groups, presets
 
 HEAD = """# Configuration
 
-Every command takes `key=value` arguments. A key's default is that of a dataclass's field, so that Python and the command
+Every command takes `key=value` arguments. A key's default is that of a dataclass field, so that Python and the command
 line agree; an option of a group, as in `algo=td3`, changes some of its keys: `conf/` says which and why. A key on the
 command line overrides options, and an option overrides defaults. `python -m gctd3.COMMAND --cfg job` shows the result.
 
