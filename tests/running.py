@@ -47,7 +47,7 @@ class Recorded(Trainer):
 def command(name, *arguments, trainer=None):
     """Run ``python -m gctd3.NAME ARGUMENTS`` in this process; return its exit code."""
     with pytest.MonkeyPatch.context() as patch:
-        # Hydra's logging would close the streams of the handlers that are there, and absl's has pytest's.
+        # Hydra's logging would close the streams of existing handlers, and absl's handler has pytest's stream.
         quiet = ["hydra/job_logging=none", "hydra/hydra_logging=none"]
         patch.setattr(sys, "argv", [f"gctd3.{name}", *map(str, arguments), *quiet])
         patch.setattr(trainer_module, "Trainer", trainer or Recorded)

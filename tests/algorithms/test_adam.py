@@ -59,7 +59,7 @@ def test_a_restored_state_goes_on_from_there(pair):
     saved = copy.deepcopy(optimizers[0].state_dict())
     values = [p.detach().clone() for p in sets[0]]
     descend(optimizers, sets, 4)
-    # Into PyTorch's and into ours, which has stepped elsewhere since.
+    # Load the state into PyTorch's Adam and into ours, which has taken other steps since.
     for optimizer, those in zip(optimizers, sets, strict=True):
         for parameter, value in zip(those, values, strict=True):
             parameter.data.copy_(value)

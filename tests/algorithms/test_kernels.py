@@ -34,7 +34,7 @@ def test_stacked_layers(sizes, shared):
         out = function(*inputs)
         weights = torch.linspace(-1.0, 1.0, out.numel(), dtype=torch.float64).reshape(out.shape)
         found.append([out, *torch.autograd.grad((weights * out.sin()).sum(), inputs)])
-    # And each network alone, by PyTorch's own function.
+    # Each network alone, by PyTorch's own function.
     alone = []
     for k in range(len(parameters[0])):
         y = x if shared else x[k]

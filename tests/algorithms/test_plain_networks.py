@@ -14,7 +14,7 @@ from gctd3.errors import PerformanceWarning
 
 KINDS = {"td3": "PlainTD3", "sac": "PlainSAC", "ddpg": "PlainDDPG"}
 each = pytest.mark.parametrize("name", KINDS)
-# DDPG has one critic, and no vmap to warn of.
+# DDPG has one critic, so it has no vmap and no warning.
 pytestmark = pytest.mark.filterwarnings("ignore::gctd3.errors.PerformanceWarning")
 
 
@@ -84,7 +84,7 @@ def test_trains_and_is_evaluated_from_the_command_line(tmp_path, name):
 def test_a_training_says_that_it_is_slower(tmp_path):
     with pytest.warns(PerformanceWarning) as said:
         train(tmp_path / "run", "algo=td3", "algo._target_=plain_networks.PlainTD3")
-    # Python shows it once: settings are checked by building what they say, and then built.
+    # Python shows the warning once, though the networks are built twice, first to check the settings.
     assert (
         len({(str(one.message), one.filename, one.lineno) for one in said if one.category is PerformanceWarning}) == 1
     )

@@ -86,7 +86,7 @@ def test_memory_is_compared_once_the_replay_is_full():
 
 
 def test_resident_memory_is_what_python_itself_counts():
-    usage = pytest.importorskip("resource").getrusage(0).ru_maxrss / 1e3  # kB, the most that there was
+    usage = pytest.importorskip("resource").getrusage(0).ru_maxrss / 1e3  # kB, the maximum so far
     assert 0 < importlib.import_module("memory").resident(os.getpid()) < 1.1 * 1.024 * usage
 
 
@@ -158,7 +158,7 @@ def test_plan_takes_turns_and_names_who_is_not_installed(race, monkeypatch):
         race.plan({"contenders": "gctd3,ppo", "seeds": "0", "our_seeds": ""})
 
 
-# Stands in for a training: writes what it is told, then stays or goes.
+# A stand-in for a training: it writes the given rows, then stays or ends.
 STAND_IN = """
 import pathlib, sys, time
 rows, code = sys.argv[2].split(";"), int(sys.argv[3])

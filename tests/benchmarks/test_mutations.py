@@ -75,7 +75,7 @@ def test_the_same_fault_in_two_layouts(module, tmp_path, monkeypatch, capsys, se
     assert [mutant["results"][name]["outcome"] for name in ("a", "b")] == [outcome, outcome] and outcome in said
     found = "tests/test_limits.py::test_clip" if outcome == "killed" else ""
     assert mutant["results"]["b"]["by"] == found
-    # It is known by now, and the checkouts are as they were.
+    # The mutant has been evaluated, and the checkouts are unchanged.
     module.main()
     assert capsys.readouterr().out.startswith("\ngroup")
     assert (tmp_path / "a" / "gctd3" / "x" / "limits.py").read_text().endswith(SOURCE)

@@ -19,8 +19,8 @@ from gctd3.data.frame_buffer import FrameBuffer
 from gctd3.training.trainer import Trainer
 
 PAIRS = [("td3", "walker2d"), ("sac", "halfcheetah")]
-LIMIT = 15  # steps of an episode, for the sake of time
-NOISE = 0.8  # so that walkers fall within that
+LIMIT = 15  # steps of an episode, short to save time
+NOISE = 0.8  # large enough that walkers fall within an episode
 STEPS, BATCH, SEED = 90, 32, 3
 
 
@@ -44,7 +44,7 @@ def sides(recipe, tmp_path):
         ours = trainer.collector.env
         for env in (*robots(ours), *robots(trainer.evaluation_env), *model.env.envs):
             shorten(env)
-        # What theirs begins its first episode with.
+        # The state in which theirs begins its first episode.
         robots(ours)[0].unwrapped.np_random = seeding.np_random(SEED)[0]
         trainer.collector._state = ours.reset()
         for mine, theirs, join in parameters(trainer.algorithm, model).values():
@@ -87,7 +87,7 @@ def draw(monkeypatch, algo, first):
     monkeypatch.setattr(np.random, "normal", lambda mean, sigma: mean + sigma * next(theirs))
     torch.manual_seed(2)  # of the noise on target actions
 
-    # Which transitions a batch has, of all but the newest, which ours does not draw; both have one robot.
+    # The transitions of a batch, without the newest, which ours cannot draw; both sides have one robot.
     shares = iter(generator.random((STEPS, BATCH)))
 
     def picked(below, size):
@@ -121,15 +121,15 @@ def test_batches_hold_the_same_transitions(sides, algo, task, monkeypatch):
         "actions": ours["action"],
         "rewards": following["reward"],
         "next_observations": following["nodes"][:, 0],
-        "dones": following["terminated"],  # in theirs those that were cut short are taken out
+        "dones": following["terminated"],  # theirs leaves out truncated episodes
     }
     for name, mine in pairs.items():
         other = getattr(theirs, name)
         assert mine.shape == other.shape, name
-        # Theirs keeps float64, and contacts make more of the last bits of an action.
+        # Theirs keeps float64, and contacts amplify differences in an action's last bits.
         apart = (mine.double() - other.double()).abs().flatten()
         assert apart.quantile(0.95) < 1e-4 and apart.max() < 0.1, name
-    # Some episodes end in each of the ways that there are, and none in the next one's first observation.
+    # Some episodes terminate and some are truncated, and no last observation is the next episode's first.
     ended = (following["terminated"] | following["truncated"])[:-1, 0]
     assert following["truncated"].any() and following["terminated"].any() == (task == "walker2d")
     follows = (following["nodes"][:-1] == ours["nodes"][1:]).all(dim=(1, 2))
@@ -145,7 +145,7 @@ def test_trainings_go_the_same_way(sides, algo, monkeypatch):
     draw(monkeypatch, algo, first=1)
     trainer.run()
     draw(monkeypatch, algo, first=0)
-    # Ours begins to update when there is a batch, theirs when it is told to; then it would act by the policy, too.
+    # Ours begins to update with a full batch; theirs at a set time, after which it also acts by the policy.
     model.learning_starts, act = BATCH, model._sample_action
     monkeypatch.setattr(model, "_sample_action", lambda _, *rest: act(0, *rest))
     if algo == "sac":
@@ -180,7 +180,7 @@ def test_both_are_evaluated_by_the_tasks_own_returns(sides, algo, task, tmp_path
     trainer, model = sides(algo, task)
     evaluator = peers.Evaluator(trainer.settings, tmp_path / "theirs", peers.ENDLESS, threads=1)
     alone = gymnasium.make(robots(evaluator.env)[0].spec.id)
-    # All from one start, so that one episode says what all are to come to.
+    # All episodes have one start, so that a single episode gives the expected return.
     for env in (*robots(evaluator.env), *robots(trainer.evaluation_env), alone):
         shorten(env)
         env.unwrapped._reset_noise_scale = 0.0

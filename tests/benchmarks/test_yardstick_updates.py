@@ -30,7 +30,7 @@ def _double():
 def recipe(monkeypatch):
     pytest.importorskip("stable_baselines3")
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
-    # Theirs turns what it sees into float32.
+    # Theirs converts observations to float32.
     monkeypatch.setattr("stable_baselines3.common.policies.preprocess_obs", lambda seen, *_, **__: seen)
     return importlib.import_module("yardstick_recipe")
 
@@ -63,7 +63,7 @@ def batch():
     following = {"nodes": after[:, None], "counters": torch.zeros(BATCH, 0), "reward": reward}
     following |= {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
     ours = {"nodes": seen[:, None], "counters": torch.zeros(BATCH, 0), "action": action, "next": following}
-    # What their buffer gives as dones is without those that were cut short.
+    # Their buffer's dones leave out truncated episodes.
     theirs = {"observations": seen, "actions": action, "next_observations": after, "rewards": reward}
     theirs |= {"dones": terminated.double(), "discounts": None}
     return TensorDict(ours, [BATCH]).auto_batch_size_(1), SimpleNamespace(**theirs)
@@ -100,7 +100,7 @@ def test_both_begin_with_weights_of_the_same_distribution(recipe, algo):
             for one, other in zip((mine, theirs), found[name.removeprefix("target_")], strict=True):
                 assert torch.equal(one, other), name
         else:
-            # PyTorch's: weights and biases uniform up to one over the root of what a unit reads.
+            # PyTorch's: weights and biases uniform up to one over the root of a unit's inputs.
             kind, i = name.split(".")
             reads = found[f"{kind}.{int(i) // 2 * 2 + 1}"][0].shape[-1]
             for one in (mine, theirs):
@@ -116,7 +116,7 @@ def test_updates_leave_the_same_behind(recipe, algo, monkeypatch):
     for mine, theirs, join in parameters(algorithm, model).values():
         mine.data.copy_(join([parameter.data for parameter in theirs]))
     if algo == "sac":
-        # They keep a logarithm finite by adding this to what it is of; ours is written so that it needs nothing.
+        # They add this to a logarithm's argument to keep it finite; our formula needs no such constant.
         model.actor.action_dist.epsilon = 0.0
     before = {name: mine.data.clone() for name, (mine, *_) in parameters(algorithm, model).items()}
     torch.manual_seed(1)

@@ -16,7 +16,7 @@ from torch import nn
 from gctd3.config.build import build
 
 ALGORITHMS = ("td3", "sac", "ddpg")
-# No value is anybody's default.
+# No value is a default of either side.
 UNUSUAL = {
     "learning_rate": 7e-4,
     "batch_size": 33,
@@ -48,7 +48,7 @@ def curves():
     return importlib.import_module("yardstick_curves")
 
 
-# Both sides are told the same.
+# Both sides get the same settings.
 
 
 def sides(recipe, algo):
@@ -87,7 +87,7 @@ def test_both_report_the_same_hyperparameters(recipe, algo):
         pairs["temperature"] = (algorithm.loss.log_alpha.exp().item(), theirs.log_ent_coef.exp().item())
         pairs["entropy"] = (float(algorithm.loss.target_entropy), float(theirs.target_entropy))
         assert theirs.target_update_interval == 1
-    if algo == "ddpg":  # theirs is a TD3 with one critic and neither delay nor noise
+    if algo == "ddpg":  # their DDPG is TD3 with one critic, without delay and noise
         assert (theirs.policy_delay, theirs.target_noise_clip) == (1, 0.0)
     for name, (mine, other) in pairs.items():
         assert mine == pytest.approx(other), name
@@ -119,7 +119,7 @@ def test_both_have_the_same_networks_and_optimisers(recipe, algo):
             {type(m) for m in module.modules() if isinstance(m, (nn.ReLU, nn.LayerNorm))} for module in (one, other)
         ]
         assert kinds == [{nn.ReLU}, {nn.ReLU}]
-    # PyTorch's initial weights: uniform up to one over the root of what a unit reads.
+    # PyTorch's initial weights: uniform up to one over the root of a unit's inputs.
     for module in (algorithm.actor, theirs.actor):
         first = weights(module)[0]
         assert 0.95 < first.abs().max().item() * math.sqrt(first.shape[1]) <= 1.0
@@ -135,7 +135,7 @@ def test_both_have_the_same_networks_and_optimisers(recipe, algo):
         assert not (group["amsgrad"] or group["maximize"])
 
 
-# What is made of curves.
+# Statistics of curves.
 
 
 def test_a_mean_has_students_interval(curves):

@@ -26,7 +26,7 @@ def test_a_report_of_kept_runs_has_the_same_numbers(finished, tmp_path, monkeypa
     assert command("report", "runs=runs", "out=out", "episodes=2", "threads=1", "keep_runs=true") == 0
     kept = tmp_path / "out" / "runs"
     assert not list(kept.rglob("*.safetensors")) and len(list(kept.rglob("evaluation.json"))) == 4
-    # Of each algorithm the trace that is drawn.
+    # The drawn trace of each algorithm.
     assert len(list(kept.rglob("trace.csv"))) == 2
     assert sum(file.stat().st_size for file in kept.rglob("*") if file.name != "trace.csv") < 4 * 20_000
     assert command("report", "runs=out/runs", "out=again", "threads=1") == 0
@@ -42,7 +42,7 @@ def test_a_report_of_kept_runs_has_the_same_numbers(finished, tmp_path, monkeypa
         ).read_bytes()
     text = (tmp_path / "again" / "index.html").read_text(encoding="utf-8")
     assert text.count("no filmstrip. Of gctd3/") == 1 and "there are numbers only, no policy" in text
-    # Of the runs themselves, with nothing left to evaluate: the same page.
+    # A report of the runs themselves, all evaluated by now, has the same page.
     assert command("report", "runs=runs", "out=once_more", "threads=1") == 0
     pages = [(tmp_path / out / "index.html").read_text(encoding="utf-8") for out in ("out", "once_more")]
     assert pages[0] == pages[1]

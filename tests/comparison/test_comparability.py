@@ -45,7 +45,7 @@ def test_runs_that_do_not_belong_together_are_refused(tmp_path, change, said):
         check_together(find_runs(tmp_path))
 
 
-# Evaluated alike.
+# Equal evaluations.
 
 
 def evaluate_over(run, episodes, seed):
@@ -60,7 +60,7 @@ def test_runs_evaluated_over_other_episodes_are_refused(tmp_path):
     for name in ("a0", "a1", "a2"):
         evaluate_over(make(tmp_path, name), 50, 10_000)
     check_episodes(find_runs(tmp_path), EpisodeSettings())
-    # What the report itself would evaluate with matters to no run that is evaluated.
+    # The report's own settings do not matter if all runs are evaluated.
     check_episodes(find_runs(tmp_path), EpisodeSettings(episodes=3, seed=4))
     evaluate_over(tmp_path / "a2", 1, 7)
     with pytest.raises(RunError) as error:
@@ -107,7 +107,7 @@ def test_what_is_evaluated_now_has_to_be_evaluated_as_the_rest_was(finished, tmp
     assert "2 of 3" in (tmp_path / "out" / "tables" / "table5.csv").read_text()
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert "each the mean of its 2 episodes; IQM" in page
-    # The command that the message gives is one that helps.
+    # The command in the message helps.
     assert command("evaluate", "run=runs/1", "episodes=1", "seed=5", "threads=1") == 0
     capsys.readouterr()
     assert command("report", "runs=runs", "out=out", "episodes=2", "seed=5") == 2
@@ -141,14 +141,14 @@ def test_other_random_graphs_are_other_seeds(tmp_path):
     for name, graph in (("0", 0), ("1", 1)):
         make(tmp_path / name, "a0", change={"robot.graph": "random", "robot.graph_seed": graph})
     check_seeds(groups_of(find_runs(tmp_path)))
-    # The seed of random graphs says nothing of the kinematic tree.
+    # The seed of random graphs has no effect on the kinematic tree.
     for name, graph in (("2", 0), ("3", 1)):
         make(tmp_path / name, "a0", change={"robot.graph_seed": graph})
     with pytest.raises(RunError, match="graph=tree, seed 0: "):
         check_seeds(groups_of(find_runs(tmp_path)))
 
 
-# Trained alike.
+# Equal trainings.
 
 
 def trained(root, name, frames, updates, **settings):

@@ -64,7 +64,7 @@ def test_runs_without_a_configuration_are_named_and_the_rest_is_reported(tmp_pat
     said = "a1 crashed: its .hydra/config.yaml is empty or missing, so it is in no group and has no numbers."
     text = report(ReportSettings(str(runs), str(tmp_path / "out"), True)).read_text(encoding="utf-8")
     assert said in text and "gctd3: 1 of 1 seeds" in text
-    # Kept as such.
+    # Such runs are kept.
     again = report(ReportSettings(str(tmp_path / "out" / "runs"), str(tmp_path / "again")))
     assert again.with_name("verdict.txt").read_text() == (tmp_path / "out" / "verdict.txt").read_text()
 

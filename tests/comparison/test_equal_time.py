@@ -73,11 +73,11 @@ def test_the_policy_is_chosen_as_runs_choose_theirs(tmp_path):
     slow = {"stop_when": {"at_least": {"velocity_mean": 1.0}, "at_most": {}, "evaluations": None}}
     lines = "1000,10,60,100,0.5,1.1", "2000,30,90,300,0.9,0.5", "3000,50,120,200,0.7,1.2", "4000,70,150,200,0.1,1.2"
     run = find_runs(timed(tmp_path, "a0", *lines, change=slow))[0]
-    # A walk that is fast enough comes before one that is not, whatever it returns; of equals the first one stays.
+    # A walk that is fast enough ranks above a slower one with any return; among equals the first one stays.
     found = {seconds: reached(run, seconds) for seconds in (59.0, 60.0, 100.0, 120.0, 1000.0)}
     assert found.pop(59.0) is None
     assert [one.return_mean for one in found.values()] == [100.0, 100.0, 200.0, 200.0]
-    # It stays as it ended.
+    # After its end a run keeps its results.
     last = found[1000.0]
     assert (last.success_rate, last.frames, last.updates) == (0.7, 4000.0, 70.0)
 
@@ -204,7 +204,7 @@ def test_times_to_the_finish_are_wall_clock_too(tmp_path):
 @pytest.mark.parametrize(
     "lines, apart",
     [
-        # After 1,000 frames, which both have, 60 and 70 s; that one went on to 3,000 says nothing.
+        # After 1,000 frames, which both have, 60 and 70 s; the further frames of one of them do not count.
         (("1000,10,60,1,0,1", "1000,10,70,1,0,1\n3000,30,300,1,0,1"), []),
         (("1000,10,60,1,0,1", "1000,10,75,1,0,1"), ["1,000 frames took 1.0 min and 1.2 min in gctd3"]),
         # Halfway between 500 frames at 20 s and 1,500 at 60 s: 40 s.
@@ -215,6 +215,6 @@ def test_times_for_the_same_work_by_hand(tmp_path, lines, apart):
     for seed, line in enumerate(lines):
         timed(tmp_path, f"a{seed}", line)
     assert uneven(groups_of(find_runs(tmp_path))) == apart
-    # One that crashed may have done so because the machine was not well.
+    # A crashed run may have crashed because of its machine.
     (tmp_path / "a1" / "post_mortem").mkdir()
     assert uneven(groups_of(find_runs(tmp_path))) == []

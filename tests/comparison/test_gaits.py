@@ -27,8 +27,8 @@ def test_seeds_without_strides_are_counted(tmp_path):
     assert said["duty factor"] == "0.50 (0.40 to 0.60); 1 not periodic"
     assert said["largest Floquet multiplier"] == "0.50; 1 too few strides; 1 not periodic"
     assert cells(tmp_path, SLIDES, SLIDES)["duty factor"] == "2 not periodic"
-    assert "phase offset" not in said  # nobody has it
-    assert cells(tmp_path, {}, {}) == {}  # nobody got far enough for a gait
+    assert "phase offset" not in said  # no seed has it
+    assert cells(tmp_path, {}, {}) == {}  # no seed got far enough for a gait
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from gctd3.comparison.gaits import GAIT
 TAUS = (0.001, 0.002, 0.003, 0.004, 0.005, 0.006)
 GROUPS = [f"gctd3 tau={tau}" for tau in TAUS]
 DT = 0.02
-# For each picture that a group with a trace and a policy has.
+# The titles of all pictures of a group with a trace and a policy.
 OF_A_GROUP = {"joints, right against left", "phase portraits", "feet on the ground"}
 FIGURES = {
     "Return over frames, thousands",
@@ -71,7 +71,7 @@ def runs(tmp_path_factory, robot):
             if tau in TAUS[:2]:
                 (run / "trace.csv").write_text(trace(robot))
     shutil.copytree(shipped / "checkpoints", root / f"tau={TAUS[0]},0" / "checkpoints")
-    # The last was stopped, which its outcome says at length.
+    # The last run was stopped, which makes its outcome a long text.
     progress = run / "progress.csv"
     progress.write_text("".join(progress.read_text().splitlines(keepends=True)[:2]))
     return root
@@ -112,7 +112,7 @@ def opened(browser, page_file):
 
     yield look
     assert said == []
-    # Frames are in the file.
+    # The frames are inside the file.
     assert [url for url in asked if not url.startswith("data:image/jpeg;base64,")] == [page_file.resolve().as_uri()]
     for context in contexts:
         context.close()
@@ -142,7 +142,7 @@ def test_every_figure_is_there_and_has_a_size(opened, width):
     assert all(w > 250 and h > 60 for w, h in drawings)
     frames = every(page, "figure img", "[e.naturalWidth, e.getBoundingClientRect().width]")
     assert len(frames) == filmstrips.FRAMES * len(films())
-    # A robot in one can be seen, with its words below it.
+    # Each frame shows the robot, with its words below it.
     assert all(pixels >= shown >= 120 for pixels, shown in frames)
     assert len(every(page, ".film small", "e.textContent.match(/^[\\d.]+ s, [\\d.]+ m$/)[0]")) == len(frames)
 
@@ -151,7 +151,7 @@ def test_every_figure_is_there_and_has_a_size(opened, width):
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_all_of_it_can_be_read(opened, width, scheme):
     page = opened(width, scheme)
-    # Nothing sticks out: on a phone wide tables scroll in their own frame.
+    # No element is wider than the page: on a phone wide tables scroll in their own frame.
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     ((paper, ink),) = every(page, "body", "[getComputedStyle(e).backgroundColor, getComputedStyle(e).color]")
     assert paper == ("rgb(255, 255, 255)" if scheme == "light" else "rgb(20, 22, 26)")

@@ -40,7 +40,7 @@ def test_the_verdict_claims_no_more_than_the_intervals():
 
 @pytest.mark.parametrize("ours, theirs", [(2, 2), (3, 3), (3, 5), (4, 4), (1, 9)])
 def test_how_many_seeds_it_takes_is_what_shuffling_them_says(ours, theirs):
-    # All ways to deal the ranks 0, 1, ... to two groups alike; in how many is one group wholly above the other?
+    # All ways to deal the ranks 0, 1, ... to two groups alike; count those with one group wholly above the other.
     every = range(ours + theirs)
     dealt = [set(hand) for hand in combinations(every, ours)]
     apart = [h for h in dealt if max(h) < min(set(every) - h) or min(h) > max(set(every) - h)]
@@ -234,7 +234,7 @@ def test_from_trainings_to_the_page(finished, tmp_path, monkeypatch, capsys):
     assert len(ids) == len(set(ids))
     names = {file.stem for file in (tmp_path / "out" / "figures").glob("*.svg")}
     pixels = {file.stem for file in (tmp_path / "out" / "figures").glob("*.png")}
-    # Where there is nothing to draw with, the page says so.
+    # Without OpenGL the page says that it could not draw.
     films = {"film_gctd3", "film_td3"}
     assert pixels == names | films or (pixels == names and text.count("no filmstrip. ") == 2)
     assert text.count('class="film"') == len(pixels - names)

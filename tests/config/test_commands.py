@@ -145,7 +145,7 @@ def test_a_directory_holds_one_run(capsys, run):
     assert (run / "progress.csv").read_text(encoding="utf-8") == before
 
 
-# Runs that are none.
+# Directories that are not usable runs.
 
 
 @pytest.fixture

@@ -62,7 +62,7 @@ def completed(plain):
     return OmegaConf.to_container(config)
 
 
-# What is read of a dataclass.
+# Reading a dataclass.
 
 
 def test_defaults_and_meanings_of_a_dataclass():
@@ -85,7 +85,7 @@ def test_names_are_those_of_the_front_door():
     assert name_of(Mine) == MINE
 
 
-# What is added to a configuration.
+# Completing a configuration.
 
 
 def test_what_is_missing_is_added_and_what_is_said_is_kept():
@@ -160,7 +160,7 @@ def test_cfg_job_shows_every_key(tmp_path, monkeypatch, capsys):
     assert not list(tmp_path.iterdir())
 
 
-# Whoever composes.
+# Other ways to compose.
 
 PROJECT = """
 import sys
@@ -298,7 +298,7 @@ def test_a_run_does_not_say_where_yamls_are(tmp_path):
         assert changed(run, "config", ["keep_checkpoints=3"])[0].keep_checkpoints == 3
 
 
-# What it takes.
+# Cost of the imports.
 
 
 def test_settings_import_no_torch():

@@ -41,7 +41,7 @@ def test_help_has_every_key_with_its_default_and_what_it_means(command):
     plain = yaml.safe_load(file(command).read_text(encoding="utf-8"))
     defaults = {k: v for item in plain.get("defaults", []) if isinstance(item, dict) for k, v in item.items()}
     groups = [name.rpartition("@")[2] for name in defaults if not name.startswith("override")]
-    # What Hydra composes, without what groups bring.
+    # Hydra's composition without the groups' keys.
     expected = {
         key: value
         for key, value in items(composed(root=ROOTS.get(command, command), missing=True))

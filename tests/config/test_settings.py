@@ -89,7 +89,7 @@ def test_a_librarys_task_brings_what_goes_with_it(task):
     assert (settings.env.backend, settings.env.num_envs) == ("library", 8)
     assert settings.exploration.warmup == "uniform" and not settings.replay.mirror
     assert settings.stop_when.evaluations is None
-    # What is asked for comes before it.
+    # The command line overrides the task's own settings.
     assert build(composed(f"task={task}", "env.num_envs=3")).env.num_envs == 3
 
 

@@ -24,7 +24,7 @@ def fails(config):
 
 # Mistakes.
 
-# Mappings of terms by names that may be any.
+# Mappings of terms with arbitrary names.
 OF_TERMS = ["reward.terms", "evaluation.reward.terms"]
 OF_TERMS += [f"task.{kind}" for kind in ("features", "terminations", "randomisations", "commands")]
 
@@ -34,7 +34,7 @@ def test_a_misspelt_key_is_named_with_the_nearest_one(default):
     for key, _ in items(default):
         parent, _, name = key.rpartition(".")
         if parent in ("stop_when.at_least", "stop_when.at_most", *OF_TERMS):
-            continue  # names of metrics, and names that are one's own
+            continue  # names of metrics, and arbitrary names
         wrong = name[:-1] + name[-1] * 2
         message = fails(edited(default, key, rename=wrong))
         assert f"{parent}.{wrong}".lstrip(".") in message

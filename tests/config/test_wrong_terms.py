@@ -7,7 +7,7 @@ COMMAND = "+task.commands.speed._target_=gctd3.UniformCommand"
 NOTHING = [f"reward.terms.{name}=null" for name in ("velocity", "progress", "height", "fall", "long_contact")]
 KNOWN = "Remembered: step, position[6], height[5], feet_down[5]"
 WRONG = {
-    # What it is.
+    # The term itself.
     "+reward.terms.x._target_=gctd3.Fal": ["reward.terms.x", "'gctd3.Fal'", "Did you mean 'gctd3.Fall'?"],
     "+reward.terms.x._target_=nowhere.Fall": ["reward.terms.x", "'nowhere.Fall'", "No module named 'nowhere'"],
     "+reward.terms.x._target_=gctd3.Fall": ["reward.terms.x must be null or", "_target_ is a RewardTerm, got Fall"],
@@ -30,13 +30,13 @@ WRONG = {
     "reward.terms.fall.wait=1": ["'reward.terms.fall.wait'", "Did you mean 'reward.terms.fall.weight'?"],
     f"{COMMAND} +task.commands.speed.every=0": ["task.commands.speed.every must be above 0 s, got 0.0"],
     f"{COMMAND} +task.commands.speed.low=[2.0]": ["task.commands.speed.low and high must hold", "[2.0] and [1.0]"],
-    # What it reads of others.
+    # References to other terms.
     "reward.terms.fall.by=fal": ["reward.terms.fall", "'fal'", "Did you mean 'fall'?", "long_contact, stuck_hip"],
     "evaluation.reward.terms.fall.by=fal": ["evaluation.reward.terms.fall", "'fal'", "Did you mean 'fall'?"],
     "+task.features.x._target_=own_terms.AskedSpeed": ["task.features.x reads 'command.speed'", KNOWN],
     "+reward.terms.x._target_=own_terms.FollowSpeed": ["reward.terms.x reads 'command.speed'", KNOWN],
     "+task.terminations.x._target_=own_terms.MissedSpeed": ["task.terminations.x reads 'command.speed'", "step, "],
-    # What it returns.
+    # Returned values.
     "+task.features.x._target_=own_terms.OfWheels": ["task.features.x", "'wheel'", "kinds: root, base, joint, ground"],
     "+task.features.x._target_=own_terms.TooWide": ["task.features.x must return", "[2, 1, 1], got [2, 1, 2]"],
     "+reward.terms.x._target_=own_terms.OneForAll": ["reward.terms.x must return a finite number", "shape [2], got []"],
@@ -45,7 +45,7 @@ WRONG = {
     "+task.randomisations.x._target_=own_terms.ShortPose": ["task.randomisations.x must return finite qpos [", "(1,)"],
     "+task.randomisations.x._target_=own_terms.NoPose": ["task.randomisations.x must return", "got NoneType"],
     "+task.commands.x._target_=own_terms.FlatCommand": ["task.commands.x must draw [2, 1] numbers, got [2]"],
-    # What it remembers.
+    # Remembered arrays.
     "+reward.terms.x._target_=own_terms.WrongShape": ["reward.terms.x must remember 'sums' as [2, 2]", "got [2]"],
     "+reward.terms.x._target_=own_terms.OtherType": ["reward.terms.x must remember 'halves'", "int64, got", "float64"],
     "+reward.terms.x._target_=own_terms.Rising +reward.terms.y._target_=own_terms.Doubling": [
@@ -53,11 +53,11 @@ WRONG = {
     ],
     "+task.terminations.x._target_=own_terms.UnmirroredClock": ["task.terminations.x: clock_mirror", "each of the 2"],
     "+reward.terms.x._target_=own_terms.OnLegs": ["size must be a number, feet, joints or actions, got 'legs'"],
-    # That it ends.
+    # The time limit.
     "task.terminations.time_limit=null": ["task.terminations must hold a gctd3.TimeLimit", "got none"],
-    # How it is added.
+    # The key that adds it.
     "reward.terms.x._target_=gctd3.Living": ["Unknown key 'reward.terms.x'. To add it: +reward.terms.x._target_=..."],
-    # Where it runs.
+    # The environment.
     "env.backend=library": ["env.backend must be batched or dm_control for walk, got library"],
     "task=ant env.backend=batched": ["env.backend must be library for Ant-v5, got batched"],
 }

@@ -8,7 +8,7 @@ import pytest
 
 from gctd3.data.background import in_thread
 
-# A child that asks for a signal at its parent's death, as Ray's servers do, and the parent's one line about it.
+# A child that asks for a signal at its parent's death, as Ray's servers do; the parent prints the outcome.
 ASKING = """
 import ctypes, signal, subprocess, sys, time
 from gctd3.data.background import in_thread

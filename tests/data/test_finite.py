@@ -91,7 +91,7 @@ def test_a_number_that_is_none_ends_the_training(tmp_path, capsys, fault):
     error = capsys.readouterr().err.split("error: ")
     assert len(error) == 2 and "Traceback" not in error[1]
     assert "After 100 steps and " in error[1] and said in error[1] and str(run / "post_mortem") in error[1]
-    # What was saved before is as it was.
+    # Files saved before are unchanged.
     assert before and contents(run / "checkpoints") == before
     assert Checkpoints(run).newest() is not None
     aside = run / "post_mortem"
@@ -209,7 +209,7 @@ def test_what_the_check_finds_is_kept(tmp_path, capsys):
 # Simulations that diverge.
 
 
-@pytest.mark.parametrize("control_dt", [0.02, 0.005])  # 0.005: one physics step, after which the clock is as without
+@pytest.mark.parametrize("control_dt", [0.02, 0.005])  # 0.005: one physics step, after which the clock looks normal
 @pytest.mark.parametrize("age", [0, 7])
 def test_a_batched_robot_that_explodes_falls_alone(robot, age, control_dt, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -103,7 +103,7 @@ def test_once_cleared_it_draws_only_what_came_after(collected, capacity, restore
         state, buffer = buffer.state_dict(), FrameBuffer(capacity * ROBOTS, 64, HISTORY, 3, GAMMA)
         buffer.load_state_dict(state, iter([]))
     fill(buffer, collected[:, 100:120], 10)
-    # The first four may lack their past, the last three their future.
+    # The first four rows may lack earlier frames, the last three later ones.
     assert buffer.ready == 20 - 4 - 3
     reference = {tuple(action.tolist()) for action in collected["action"][:, 104:117].reshape(-1, 6)}
     torch.manual_seed(0)

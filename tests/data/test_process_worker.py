@@ -54,7 +54,7 @@ def test_workers_that_die_or_hang_are_replaced_and_the_training_ends_well(tmp_pa
     trainer = Recorded.last
     assert trainer.collector.replaced == 2
     assert [int(row["frames"]) for row in rows(run)] == [80, 160, 240]
-    # As many updates as frames ask for, past the warm-up: 2 for every step of the 4 robots.
+    # The number of updates follows from the frames after the warm-up: 2 for every step of the 4 robots.
     assert 2 * (240 - 80) // 4 <= trainer.algorithm.updates <= 2 * (240 - 80) // 4 + 4
     assert nobody_is_left()
 
@@ -81,7 +81,7 @@ def test_a_signal_to_all_processes_leaves_a_checkpoint_and_nobody_behind(tmp_pat
         assert time.monotonic() < deadline and running.poll() is None, "no checkpoint"
         time.sleep(0.1)
     if number == signal.SIGKILL:
-        running.kill()  # the learner only: its workers have to notice
+        running.kill()  # kill the learner only: its workers have to end by themselves
     else:
         os.killpg(running.pid, number)
     _, error = running.communicate(timeout=120)

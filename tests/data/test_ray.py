@@ -68,7 +68,7 @@ def test_a_wrong_address_is_said_within_seconds(tmp_path):
 @pytest.fixture
 def head(monkeypatch):
     """Return a function that starts a head node and returns its address; everything ends with the test."""
-    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # for whoever joins, too
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # also for processes that join
     ray = [sys.executable, "-m", "ray.scripts.scripts"]
     started = []
 
@@ -194,7 +194,7 @@ def test_an_unfit_cluster_is_refused_with_its_reason(tmp_path, head, wrong):
     other = tmp_path / "site" / "mujoco-0.0.1.dist-info"
     other.mkdir(parents=True)
     (other / "METADATA").write_text("Metadata-Version: 2.1\nName: mujoco\nVersion: 0.0.1\n")
-    with socket.create_server(("127.0.0.1", 0)) as silent:  # accepts and says nothing
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # accepts connections and never answers
         address = f"127.0.0.1:{silent.getsockname()[1]}"
         if wrong != "no Ray":
             site = {"PYTHONPATH": str(tmp_path / "site")} if wrong == "another version" else {}

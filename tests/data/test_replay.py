@@ -166,7 +166,7 @@ def test_a_collector_may_deliver_one_step_at_a_time(robot, graph, storage):
         assert torch.equal(one[key], many[key]), key
 
 
-# What is kept.
+# Stored transitions.
 
 
 @pytest.mark.parametrize("n_step", [1, 3])
@@ -183,7 +183,7 @@ def test_the_oldest_leave_first(storage, newest):
     for t in range(8):
         replay = filled(storage, steps[:, : t + 1], [1] * (t + 1), 1, capacity=5)
         assert len(replay) == min(t + 1, 5)
-    # Of frames, the newest has no next one yet.
+    # In the frame buffer the newest step has no next frame yet.
     assert {float(replay.sample()["nodes"][0, 0, 0]) for _ in range(100)} == set(newest)
 
 

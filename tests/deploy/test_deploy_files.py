@@ -77,7 +77,7 @@ def test_it_runs_only_on_the_robot_that_it_was_trained_for(exported, robot, tmp_
         Policy(exported, robot=mine)
 
 
-# Without what it was trained with.
+# Without the packages of training.
 
 ALONE = """
 import sys

@@ -48,7 +48,7 @@ def difference(file, policy, states):
 def test_actions_are_pytorchs(exported, states):
     assert len(states) == 10_000
     assert difference(exported, gctd3.load_policy(), states) <= 1e-5
-    # The comparison can fail: another policy's actions are others.
+    # The comparison can fail: another policy's actions differ.
     assert difference(exported, gctd3.make_actor(KinematicGraph.from_mjcf("biped")), states) > 0.1
 
 
@@ -62,7 +62,7 @@ def test_the_onnx_file_says_what_it_is(exported):
     assert (nodes.name, shape) == ("nodes", ["batch", 8, 10])
     assert (action.name, action.type.tensor_type.shape.dim[1].dim_value) == ("action", 6)
     assert {p.key: p.value for p in model.metadata_props}["gctd3.robot"] == "biped"
-    # Nothing of the machine that it was made on.
+    # The file holds no paths of this machine.
     content = exported.read_bytes()
     assert str(Path(gctd3.__file__).parent).encode() not in content and b"site-packages" not in content
     assert [path.name for path in exported.parent.iterdir() if path.stem == "policy"] in (

@@ -144,11 +144,11 @@ def test_a_desired_angle_changes_no_faster_than_allowed(policy):
     with_network(policy, 1.0, 1.0, 1.0, -1.0)
     hips = [policy.step(still(policy), i * PERIOD)["hip_right"] for i in range(4)]
     assert hips == pytest.approx([0.3, 0.6, 0.7854, 0.4854])
-    # Held back were the first, the second and the last step, and the knee (from 0 to 0.0012) never before the last.
+    # The first, the second and the last step were limited, and the knee (from 0 to 0.0012) never before the last.
     assert policy.limited == 3
 
 
-# What is refused: a message, the last command to hold, and nothing else changed.
+# Refusals: a message, the last command to hold, and no other change.
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_wrong_readings_are_refused(policy, change, said):
         policy.step(wrong, PERIOD)
     assert said in str(refused.value)
     assert refused.value.command == last == policy.command
-    # Right ones still come in time.
+    # Valid readings are still accepted.
     follows = policy.step(still(policy), PERIOD)
     policy.reset()
     policy.step(still(policy), 0.0)

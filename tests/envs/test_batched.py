@@ -87,7 +87,7 @@ def assert_parity(task, n, policy):
 
 @pytest.mark.parametrize("hold", [1, 5])
 def test_parity_under_random_actions(robot, hold):
-    # Tight enough that every ending is met by chance.
+    # Limits so tight that random actions meet every termination.
     task = walking(robot, SHAPED, fall_height=-0.04, finish=0.1, hip_steps=25)
     seen = assert_parity(task, 4, held(4, hold))
     assert {"fall", "stuck_hip", "success"} <= set(seen)
@@ -245,7 +245,7 @@ def test_actions_that_are_not_finite_are_refused(task, bad):
 def test_substeps(robot):
     timestep = robot.model.opt.timestep
     assert [substeps_of(k * timestep, robot) for k in (1, 3, 4)] == [1, 3, 4]
-    # 0.005 s, the biped's timestep, and what of its multiples is nearest to each.
+    # 0.005 s, the biped's timestep, and its multiple that is nearest to each period.
     for period, nearest in ((0.0, 0.005), (-0.005, 0.005), (0.0025, 0.005), (0.0123, 0.01), (0.019, 0.02), (6.0, 5.0)):
         said = (
             rf"times 0\.005 s, the timestep of .*biped\.xml, got {period:g} s: the nearest that fits is {nearest:g} s\."

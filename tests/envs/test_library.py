@@ -47,7 +47,7 @@ def test_trains_and_evaluates(tmp_path, task, nodes, actions, capsys):
     # dm_control's rewards lie in [0, 1], and an episode has 1,000 steps.
     assert 0 <= report["return_mean"] <= 1000 or task != "walker_walk"
     said = capsys.readouterr().out
-    # Nothing of the paper's, and no command that would refuse this run.
+    # The output names no number of the paper's, and no command that would refuse this run.
     assert "380.0" not in said and "gctd3.evaluate run=" in said and "gctd3.view" not in said
     assert command("render", f"run={run}", f"out={tmp_path / 'walk.png'}") == 2
     assert "film is for tasks that gctd3 simulates" in capsys.readouterr().err
@@ -171,7 +171,7 @@ def test_the_tasks_own_observation(library, name, size):
     np.testing.assert_allclose(np.sort(state["nodes"][0, 0]), np.sort(theirs), rtol=1e-6)
     if library == "gymnasium":  # in its order
         np.testing.assert_allclose(state["nodes"][0, 0], theirs, rtol=1e-6)
-    # What the nodes would have been is at hand beside it, for the gait.
+    # The nodes' features are still read beside it, for the gait metrics.
     noded = library_env(library, name, num_envs=2, history=1)
     other = noded.reset()
     for _ in range(3):
@@ -203,7 +203,7 @@ def test_trains_on_nodes_that_say_what_they_are(tmp_path, capsys):
     state = env.reset()
     for _ in range(3):
         state = env.step(state.set("action", torch.ones(2, 6)))["next"]
-    # Two frames: what is sensed, in which only the newest is watched, and in both the same of what the node is.
+    # Two frames of sensed features, of which only the newest is compared, and the same constant features in both.
     older, newest = state["nodes"].unflatten(-1, (2, 2 + len(STATIC))).unbind(-2)
     assert torch.equal(newest[..., :2], torch.from_numpy(env.base_env.sensed))
     assert not torch.equal(older[..., :2], newest[..., :2])

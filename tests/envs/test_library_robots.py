@@ -85,7 +85,7 @@ def test_only_the_robots_that_are_to_be_reset_are():
     assert torch.equal(state["nodes"][::2], before["nodes"][::2])
     assert state["step_count"].tolist() == [[4], [0], [4]] and state["is_init"].tolist() == [[False], [True], [False]]
     assert not torch.equal(state["nodes"][1], before["nodes"][1])
-    # What was given out before stays as it was.
+    # Earlier outputs stay unchanged.
     assert before["step_count"].tolist() == [[4], [4], [4]]
 
 

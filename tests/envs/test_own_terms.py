@@ -100,7 +100,7 @@ def test_dm_control_runs_it(mine):
     for key in ("nodes", "counters", ("next", "reward")):
         assert torch.isfinite(rollout[key]).all(), key
     asked = rollout["nodes"][:, :, 0, -1]
-    # Held for five steps of 0.02 s, then another.
+    # A command is held for five steps of 0.02 s, then redrawn.
     assert (asked[:, 1:5] == asked[:, :1]).all() and (asked[:, 5] != asked[:, 4]).all()
     assert rollout["next", "terminated"].any()
     env.close()

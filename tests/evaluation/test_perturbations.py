@@ -57,7 +57,7 @@ def test_an_impulse_is_a_great_force_for_a_short_time(robot):
     qpos, _ = pose(robot)
     model = copy.copy(robot.model)
     model.opt.timestep = 1e-6
-    # Nothing else may push: weight, servos, joint limits.
+    # Remove all other forces: weight, servos, joint limits.
     off = mujoco.mjtDisableBit
     model.opt.disableflags |= int(off.mjDSBL_GRAVITY) | int(off.mjDSBL_ACTUATION) | int(off.mjDSBL_CONSTRAINT)
     data = mujoco.MjData(model)

@@ -43,7 +43,7 @@ def test_servo_forces_are_mujocos(any_robot):
         found = servos.force(np.array(data.qpos), np.array(data.qvel), np.array(data.ctrl))
         assert found == pytest.approx(np.array(data.actuator_force))
         clipped += (np.abs(found) == 30.0).sum()
-    assert clipped > 50  # both kinds are seen
+    assert clipped > 50  # both cases occur
 
 
 FILTERED = """

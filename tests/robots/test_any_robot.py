@@ -150,7 +150,7 @@ def test_table_and_short_form(graph):
     assert repr(graph) == f"KinematicGraph(8 nodes, 8 edges: {', '.join(graph.nodes)})"
 
 
-# What is found where nobody says.
+# Detected feet, forward axes and mirror pairs.
 
 CROSS = """
 <mujoco>

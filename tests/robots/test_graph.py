@@ -217,7 +217,7 @@ def test_mirror_swaps_right_and_left(robot, preset):
     graph = KinematicGraph.from_robot(robot, preset)
     mirror = list(graph.mirror)
     assert mirror == [0, 2, 1, 4, 3, 6, 5, 7]
-    if preset != "random":  # its edges know no sides
+    if preset != "random":  # random edges are not symmetric
         np.testing.assert_array_equal(graph.adjacency[np.ix_(mirror, mirror)], graph.adjacency)
 
 

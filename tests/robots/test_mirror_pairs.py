@@ -28,7 +28,7 @@ def crooked(text):
         ("hip_right", "hip_left"),
         ("L_knee", "R_knee"),
         ("thigh", "thigh_left"),
-        ("lfemurrx", "rfemurrx"),  # the last r is no side
+        ("lfemurrx", "rfemurrx"),  # the last r is not a side
         ("RHipYaw", "LHipYaw"),
         ("lowerback", "lowerback"),
         ("root", "root"),

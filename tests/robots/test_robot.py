@@ -204,7 +204,7 @@ def test_mirrored_actions_make_the_mirrored_walk(robot):
     np.testing.assert_allclose(data.qpos[:2], mirrored.qpos[:2], atol=1e-5)
 
 
-# What `Robot` reads.
+# Properties that `Robot` reads.
 
 
 def test_reads_base_legs_feet_and_sensors(robot):

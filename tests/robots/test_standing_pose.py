@@ -40,7 +40,7 @@ def test_shipped_robots_drop_from_their_reference_pose(name):
     np.testing.assert_array_equal(robot.standing_qpos, model.key("stand").qpos)
     for start in starts(robot):
         np.testing.assert_array_equal(start, model.qpos0)
-    # To the last bit: what MuJoCo makes of the same random numbers by itself.
+    # To the last bit: MuJoCo's own result from the same random numbers.
     simulation, rng = Simulation(walking(robot), 1, seed=7, threads=1), np.random.default_rng(7)
     simulation.reset(np.ones(1, dtype=bool))
     data.time = BEGINNING

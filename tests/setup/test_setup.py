@@ -47,7 +47,7 @@ def test_the_robot_is_compiled_once_and_its_graph_built_once(tmp_path, seen, bac
     asked = tiny(tmp_path / "run", f"env.backend={backend}", "network=equivariant")
     assert command("train", *asked, trainer=Watched) == 0
     assert before_the_first_step == ["read biped", "compile", "graph"]
-    # Nor is it read again while it is trained and evaluated.
+    # The robot is not read again while it is trained and evaluated.
     assert seen == before_the_first_step
 
 

@@ -23,12 +23,12 @@ def of(module, kind):
     return [item for item in found if issubclass(item, kind)]
 
 
-# As they are, but so that they happen within a few steps.
+# The shipped terms, with limits that are reached within a few steps.
 SOONER = {"LongContact": {"steps": 2}, "StuckHip": {"steps": 3}, "TimeLimit": {"steps": 8}, "SwingTime": {"most": 0.02}}
 SOONER["SwingTime"]["least"] = 0.02
 REWARDS = {kind.__name__: kind(**SOONER.get(kind.__name__, {})) for kind in of(reward_terms, RewardTerm)}
 ENDS = {kind.__name__: kind(**SOONER.get(kind.__name__, {})) for kind in of(terminations, Termination)}
-# And those of one's own that the tests have, written as one's own are.
+# The custom terms of the tests, written like a user's.
 REWARDS["FollowSpeed"], ENDS["MissedSpeed"] = FollowSpeed(), MissedSpeed(steps=2)
 CONSTANT = {"Living"}
 
@@ -100,11 +100,11 @@ def test_numpy_and_torch_agree(facts, shape):
                 tensor, where = there[part][name], f"{part} {name}"
                 assert isinstance(tensor, torch.Tensor), where
                 assert np.shape(value) == tuple(tensor.shape), where
-                # True and false and counts are no less: types are of one kind.
+                # Booleans and counts keep their kind of type.
                 assert np.asarray(value).dtype.kind == tensor.numpy().dtype.kind, where
                 np.testing.assert_allclose(tensor.numpy(), value, rtol=0, atol=1e-6, err_msg=where)
                 values.setdefault((part, name), []).append(np.asarray(value))
-    # Nothing was equal because nothing happened.
+    # The values are not equal merely because nothing happened.
     for (part, name), found in values.items():
         if part in ("ends", "pays") and name not in CONSTANT:
             assert np.stack(found).std() > 0, f"{part} {name}"

@@ -94,7 +94,7 @@ def test_what_others_get_does_not_depend_on_who_is_over():
         over = np.array(left) == 1
         np.testing.assert_array_equal(state["command.speed"], np.where(over[:, None], drawn, held))
         assert state["command.speed.left"].tolist() == np.where(over, 2, np.array(left) - 1).tolist()
-    # Nobody is over: nothing is drawn, so that the generator stays where it is.
+    # No command is due: nothing is drawn, so that the generator's state stays.
     rng = np.random.default_rng(3)
     after(memory, {**before, "command.speed.left": np.array([2, 3, 4])}, rng)
     assert rng.bit_generator.state == np.random.default_rng(3).bit_generator.state

@@ -44,7 +44,7 @@ def test_a_signal_finishes_the_step_and_says_how_to_go_on(tmp_path, number, code
     assert f"Continue it:  python -m gctd3.train resume={run}" in out
     assert load_policy(run) is not None
     before = rows(run)
-    # To its end it would take long.
+    # The whole training would take long.
     reached = Checkpoints(run).newest()[0]["counters"]["frames"]
     assert 400 <= reached < 4000
     assert command("train", f"resume={run}", f"total_frames={reached + 80}") == 0
@@ -183,7 +183,7 @@ def assert_goes_on(whole, run):
 def test_a_kill_inside_a_checkpoint_leaves_the_one_before(finished, tmp_path, monkeypatch):
     whole, run = finished["gctd3"], tmp_path / "run"
     monkeypatch.setattr("gctd3.training.trainer.MOST_TIME", math.inf)
-    # Its rows of the replay are written by then, and nothing names them.
+    # Its rows of the replay are written by then, and no manifest names them.
     assert killed_before(run, 25) == "state.safetensors"
     assert list(run.rglob("*.tmp"))
     assert_goes_on(whole, run)

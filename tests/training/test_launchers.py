@@ -91,7 +91,7 @@ def test_a_preempted_run_of_submitit_resumes_by_itself(tmp_path):
     while not list(first.glob("checkpoints/best-*")):
         assert time.monotonic() < deadline and running.poll() is None, "no checkpoint"
         time.sleep(0.1)
-    # What Slurm does before it takes a node away: USR2 to the job's process, which writes to this directory.
+    # Slurm's signal before it takes a node away: USR2 to the job's process, which writes to this directory.
     holder = subprocess.run(["fuser", str(first / ".lock")], capture_output=True, text=True).stdout.split()
     assert len(holder) == 1
     subprocess.run(["kill", f"-{signal.SIGUSR2.value}", holder[0]], check=True)

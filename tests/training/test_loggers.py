@@ -35,7 +35,7 @@ def test_wandb_has_a_run_of_each(tmp_path):
     pytest.importorskip("wandb")
     for run in trainings(tmp_path, "wandb"):
         (kept,) = (run / "wandb").glob("offline-run-*")
-        # Numbered by what was logged before.
+        # File names are numbered by the entries logged before.
         names = sorted(kept.rglob("walk_*.mp4"), key=lambda file: int(file.name.split("_")[1]))
         assert [file.read_bytes() for file in names] == films(run) and len(names) == len(rows(run))
 

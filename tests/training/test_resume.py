@@ -65,7 +65,7 @@ def test_more_frames_extend_a_finished_run(finished, tmp_path):
     assert command("train", f"resume={run}") == 2
     assert command("train", f"resume={run}", "total_frames=400") == 0
     assert rows(run, drop=TIMED) == rows(long, drop=TIMED)
-    # It is now a run of 400 frames.
+    # The run now has 400 frames.
     assert command("train", f"resume={run}") == 2
 
 

@@ -110,7 +110,7 @@ def test_no_stranger_is_imported_unless_it_is_allowed(tmp_path, monkeypatch, cap
 
     monkeypatch.setenv("GCTD3_MODULES", "another, stranger")
     assert load_policy(broken) is not None and marker.exists()
-    # What the caller has imported is no stranger.
+    # A module that the caller has imported is allowed.
     monkeypatch.delenv("GCTD3_MODULES")
     assert load_policy(broken) is not None
     del sys.modules["stranger"]

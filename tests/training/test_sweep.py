@@ -31,7 +31,7 @@ NAMES = {
 }
 
 
-SEEDS = (0, 1)  # of the five: composing takes its time
+SEEDS = (0, 1)  # two of the five seeds: composing takes long
 
 
 @functools.cache
@@ -163,7 +163,7 @@ def test_ctrl_c_reaches_runs_side_by_side_and_the_sweep_goes_on_later(tmp_path):
     whole = train(tmp_path / "whole", "seed=1", *(f"{k}={v}" for k, v in long.items()), without=list(long))
     assert_same_run(whole, directory / "seed1")
 
-    # Nothing is left to do, whoever launches it.
+    # With any launcher, nothing is left to do.
     before = {file: file.read_bytes() for file in directory.glob("seed?/progress.csv")}
     assert command("train", *arguments(directory, **long)) == 0
     assert {file: file.read_bytes() for file in directory.glob("seed?/progress.csv")} == before
@@ -175,7 +175,7 @@ def test_a_missing_plugin_is_named():
     assert "'hydra/launcher/joblib'" in said and "pip install 'gctd3[sweep]'" in said and "basic" in said
 
 
-# What crashes.
+# Crashes.
 
 
 class Crashing(Recorded):

@@ -49,7 +49,7 @@ def _elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-# What a run leaves behind.
+# Files of a run.
 
 
 def test_a_training_ends_with_what_to_do_next(tmp_path, capsys):
@@ -123,7 +123,7 @@ def test_every_frame_counts_towards_the_warm_up(runs):
     assert int(trainer.explorer.frames) == 240
 
 
-# What is best, and when it is enough.
+# The best policy, and the end of a training.
 
 
 def test_best_is_what_meets_most_conditions_then_what_returns_most():
@@ -171,7 +171,7 @@ def test_begins_again_when_no_evaluation_meets_all_conditions(tmp_path, capsys):
     # Two after each of the 21 steps from the end of a warm-up on; the last warm-up has just ended.
     assert trainer.algorithm.updates == 2
     assert int(rows(run)[-1]["updates"]) == trainer.counters.updates == 2 * (21 + 21) + 2
-    # Every time with other weights.
+    # Each restart has new weights.
     first, second = (trainer.policies[frames].state_dict() for frames in (240, 400))
     assert any((first[key] != second[key]).any() for key in first)
 

@@ -138,7 +138,7 @@ def backend(**environment):
 @pytest.mark.skipif(sys.platform != "linux", reason="EGL and OSMesa are Linux's")
 def test_another_backend_takes_over():
     found = backend(**NO_EGL)
-    if found != "osmesa":  # then there is no OSMesa either, and that is said
+    if found != "osmesa":  # then OSMesa is missing too, and the error says so
         assert any("RenderError: There is no OpenGL" in line and "apt install libegl1" in line for line in found)
 
 
