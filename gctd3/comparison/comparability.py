@@ -85,10 +85,12 @@ def check_episodes(runs: Sequence[Run], settings: EpisodeSettings) -> None:
     unlike = bool(new) and asked != wanted
     if not others and not unlike:
         return
-    lines = [f"  {_said(*how)}: {', '.join(run.name for run in members)}" for how, members in by_episodes.items()]
+    lines = [
+        f"  {_episodes_text(*how)}: {', '.join(run.name for run in members)}" for how, members in by_episodes.items()
+    ]
     if new:
         names = ", ".join(run.name for run in new)
-        lines.append(f"  not yet evaluated, now to be over {_said(*asked)}: {names}")
+        lines.append(f"  not yet evaluated, now to be over {_episodes_text(*asked)}: {names}")
     chosen = f"episodes={wanted[0]} seed={wanted[1]}"
     remedies = [f"  python -m gctd3.evaluate run={run.directory} {chosen}" for run in others]
     if unlike:
@@ -106,7 +108,7 @@ def _episodes_of(evaluation: Mapping[str, object]) -> Episodes:
     return episodes, seed
 
 
-def _said(episodes: int | None, seed: int | None) -> str:
+def _episodes_text(episodes: int | None, seed: int | None) -> str:
     number = "an unknown number of episodes" if episodes is None else f"{episodes} episode{'s' * (episodes != 1)}"
     return f"{number} from starts of {'an unknown seed' if seed is None else f'seed {seed}'}"
 

@@ -70,7 +70,7 @@ def _names(sets: list[list[Run]]) -> list[tuple[list[Run], str]]:
     named = []
     for members, label in _labelled(sets, lambda run: run.algorithm):
         for finer, options in _labelled(members, _options_in(members)):
-            named += list(zip(finer, _told_apart(f"{label} {options}".strip(), finer), strict=True))
+            named += list(zip(finer, _distinct_names(f"{label} {options}".strip(), finer), strict=True))
     return named
 
 
@@ -91,7 +91,7 @@ def _options_in(sets: list[list[Run]]) -> Callable[[Run], str]:
     return lambda run: " ".join(run.overrides[key] for key in telling if key in run.overrides)
 
 
-def _told_apart(label: str, sets: list[list[Run]]) -> list[str]:
+def _distinct_names(label: str, sets: list[list[Run]]) -> list[str]:
     """Return a distinct name for each set of runs with the same label."""
     if len(sets) == 1:
         return [label]

@@ -95,7 +95,7 @@ def compare(
         nobody = " and ".join(group for group, values in (ours, theirs) if not values)
         return Comparison(name, other, what, f"cannot be compared, {nobody} has no number for it")
     first, second = interval(a), interval(b)
-    numbers = f"{_said(first, unit, digits, len(a))} against {_said(second, unit, digits, len(b))}"
+    numbers = f"{_interval_text(first, unit, digits, len(a))} against {_interval_text(second, unit, digits, len(b))}"
     if len(a) < 2 or len(b) < 2:
         return Comparison(name, other, what, f"{NOTHING}, a single seed cannot show one", numbers)
     numbers += f"; a run of {name} {more} than one of {other} with probability {improvement(a, b).text(2)}"
@@ -275,5 +275,5 @@ def _caveats(groups: Mapping[str, Sequence[Run]]) -> list[str]:
     return sentences
 
 
-def _said(number: Interval, unit: str, digits: int, seeds: int) -> str:
+def _interval_text(number: Interval, unit: str, digits: int, seeds: int) -> str:
     return f"{number.text(digits)}{unit} ({seeds} seed{'s' * (seeds != 1)})"

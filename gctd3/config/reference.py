@@ -76,18 +76,18 @@ def _groups() -> Iterator[str]:
     for group in groups():
         yield from [f"### `{group}`", ""]
         options = presets(group)
-        told: set[str] = set()
+        described: set[str] = set()
         for preset in options:
             settings = _settings(preset, options)
-            if settings is not None and settings.__name__ not in told:
-                told.add(settings.__name__)
+            if settings is not None and settings.__name__ not in described:
+                described.add(settings.__name__)
                 prefix = group.rpartition("/")[2] + "."
                 yield from [f"Keys of `{settings.__name__}`: {_first_line(settings)}", ""]
                 listed = list(rows(settings, prefix=prefix))
                 yield from _table(listed) if listed else ["It has none."]
                 yield ""
         yield from ["| option | meaning, and changes |", "|---|---|"]
-        yield from (f"| `{preset.name}` | {_told(preset, options)} |" for preset in options)
+        yield from (f"| `{preset.name}` | {_description(preset, options)} |" for preset in options)
         yield ""
 
 
@@ -100,7 +100,7 @@ def _settings(preset: Preset, options: list[Preset]) -> type | None:
     return _settings(base, options) if base is not None and not preset.everywhere else None
 
 
-def _told(preset: Preset, options: list[Preset]) -> str:
+def _description(preset: Preset, options: list[Preset]) -> str:
     """Describe an option, the option on which it builds, and its changes."""
     parts = [preset.about]
     if preset.base is not None:

@@ -65,7 +65,7 @@ class Rhythm(torch.nn.Module):
             self.register_buffer(name, torch.zeros(num_robots, len(partner)))
         self.register_buffer("cycles", torch.zeros(num_robots))
         self.register_buffer("frequency", torch.zeros(num_robots))
-        self._range, self._dt, self._heirs = tuple(frequency), control_dt, mutation_share
+        self._range, self._dt, self._mutation_share = tuple(frequency), control_dt, mutation_share
         if mutation_share:
             self.register_buffer("farthest", torch.full((num_robots,), -math.inf))
             for name in self.MUTATION:
@@ -84,8 +84,8 @@ class Rhythm(torch.nn.Module):
         }
         for name, values in new.items():
             self._put(name, mask, values)
-        if self._heirs:
-            self._mutate(mask & (torch.rand(len(mask)) < self._heirs))
+        if self._mutation_share:
+            self._mutate(mask & (torch.rand(len(mask)) < self._mutation_share))
 
     def _mutate(self, mask: Tensor) -> None:
         rivals = torch.randint(len(mask), (len(mask), self.RIVALS))
@@ -116,7 +116,7 @@ class Rhythm(torch.nn.Module):
             is_init: Robots whose episode begins, bool ``[robots]``.
             position: Distance walked, ``[robots]`` (m); needed only with mutation_share.
         """
-        if self._heirs and position is not None:
+        if self._mutation_share and position is not None:
             self.remember(torch.where(is_init, -math.inf, position))
         if is_init.any():
             self.draw(is_init)

@@ -17,7 +17,7 @@ from gctd3.compat import priority_weight, reduce_loss, vmapped_critics
 from gctd3.nn.stacking import obstacles
 from gctd3.objectives.stacked import StackedLoss, output, values
 
-Found = tuple[Tensor, dict[str, Tensor]]
+LossAndMetrics = tuple[Tensor, dict[str, Tensor]]
 
 
 class TD3Loss(StackedLoss, TorchRLTD3Loss):
@@ -51,25 +51,25 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
         # A copy of an unknown actor might differ from it: it may be set to train or evaluate, or hold a state.
         self._known_actor = not obstacles(actor_network)
 
-    def actor_loss(self, tensordict: TensorDictBase) -> Found:
+    def actor_loss(self, tensordict: TensorDictBase) -> LossAndMetrics:
         """Return TorchRL's actor loss of a batch of size ``[*]``, and further values that were computed."""
         return self._of_actor(tensordict)
 
-    def value_loss(self, tensordict: TensorDictBase) -> Found:
+    def value_loss(self, tensordict: TensorDictBase) -> LossAndMetrics:
         """Return TorchRL's critic loss of a batch of size ``[*]``, and further values that were computed."""
         return self._of_critics(tensordict)
 
-    def of_actor(self, tensordict: TensorDictBase) -> Found:
+    def of_actor(self, tensordict: TensorDictBase) -> LossAndMetrics:
         """Return the actor's loss: minus the first critic's value of its action (equation below 11 of the paper)."""
         fast = self.stacked and self._known_actor
         return self._of_actor(tensordict) if fast else self.actor_loss(tensordict)
 
-    def of_critics(self, tensordict: TensorDictBase) -> Found:
+    def of_critics(self, tensordict: TensorDictBase) -> LossAndMetrics:
         """Return the critics' loss: both critics' distance from the target of equation 9."""
         fast = self.stacked and self._known_actor
         return self._of_critics(tensordict) if fast else self.value_loss(tensordict)
 
-    def _of_actor(self, tensordict: TensorDictBase) -> Found:
+    def _of_actor(self, tensordict: TensorDictBase) -> LossAndMetrics:
         action, seen = self._act("actor", tensordict, lambda: self.actor_network_params)
         if self.stacked:
             critic = self._copies.get("first critic", self.qvalue_network, lambda: self.qvalue_network_params.data[0])
@@ -81,7 +81,7 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
         loss = reduce_loss(self, -value, tensordict, weights)
         return loss, {"state_action_value_actor": action_values.detach()}
 
-    def _of_critics(self, tensordict: TensorDictBase) -> Found:
+    def _of_critics(self, tensordict: TensorDictBase) -> LossAndMetrics:
         taken, following = tensordict.get(self.tensor_keys.action), self._following(tensordict)
         noise = (torch.randn_like(taken) * self.policy_noise).clamp(-self.noise_clip, self.noise_clip)
         with torch.no_grad():

@@ -82,12 +82,12 @@ def ground_height(model: mujoco.MjModel) -> float | None:
     data, types = mujoco.MjData(model), mujoco.mjtGeom
     mujoco.mj_kinematics(model, data)
     contact = model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT
-    told = model.sensor_refid[contact & (model.sensor_reftype == mujoco.mjtObj.mjOBJ_GEOM)]
+    grounds = model.sensor_refid[contact & (model.sensor_reftype == mujoco.mjtObj.mjOBJ_GEOM)]
     planes = np.flatnonzero(model.geom_type == types.mjGEOM_PLANE)
     thickness = {int(types.mjGEOM_PLANE): 0.0, int(types.mjGEOM_BOX): 1.0}
     heights = [
         float(data.geom_xpos[geom, 2] + thickness[int(model.geom_type[geom])] * model.geom_size[geom, 2])
-        for geom in (told if len(told) else planes)
+        for geom in (grounds if len(grounds) else planes)
         if int(model.geom_type[geom]) in thickness
         and model.body_weldid[model.geom_bodyid[geom]] == 0
         and data.geom_xmat[geom, 8] > 1.0 - 1e-9

@@ -82,7 +82,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
         if not trainer.finished:
             print(f"Continue it:  python -m gctd3.train resume={run}")
     if stop.file is not None:
-        print(f"{run}: {'stopped' if stop else 'done'}. {_said(trainer.best)}", flush=True)
+        print(f"{run}: {'stopped' if stop else 'done'}. {_best_text(trainer.best)}", flush=True)
     return trainer.best
 
 
@@ -109,10 +109,10 @@ def _summary(best: dict[str, float] | None, run: Path, walks: bool) -> str:
     """Return the best evaluation and how to look at the policy; only the walking task can be drawn."""
     advice = f"\nEvaluate it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
     advice += f"\nWatch it walk:  python -m gctd3.view run={run}" if walks else ""
-    return f"\n{_said(best)}{advice if best is not None else ''}"
+    return f"\n{_best_text(best)}{advice if best is not None else ''}"
 
 
-def _said(best: dict[str, float] | None) -> str:
+def _best_text(best: dict[str, float] | None) -> str:
     if best is None:
         return "It has not been evaluated yet, so it has no best policy."
     return (

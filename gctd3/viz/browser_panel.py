@@ -51,7 +51,7 @@ class Panel:
         self._load = load
         # Browsers' requests arrive in threads of their own; only the thread that runs the walk may change it.
         self._wishes: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
-        self.paused, self.speed, self._said = False, 1.0, ""
+        self.paused, self.speed, self._message = False, 1.0, ""
         server.gui.configure_theme(control_layout="collapsible", control_width="large", show_share_button=False)
         self._open(self.runs[0], load(self.runs[0]))
 
@@ -180,9 +180,9 @@ class Panel:
         try:
             live = self._load(run)
         except GCTD3Error as error:
-            self._said, self._choice.value = str(error), self.shown
+            self._message, self._choice.value = str(error), self.shown
             return
-        self._said = ""
+        self._message = ""
         self._open(run, live)
 
     def _plot_of(self, leg: int) -> viser.GuiUplotHandle:
@@ -232,7 +232,7 @@ class Panel:
         cells = ["".join(f"<td>{key}</td><td class='{key}'><b>{text}</b></td>" for key, text in row) for row in rows]
         style = "margin: 0 0.6em; border-spacing: 0.7em 0; font-size: 0.85em; font-variant-numeric: tabular-nums"
         table = f"<table id='status' style='{style}'>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
-        return table + (f"<p style='color:#c0392b'>{html.escape(self._said)}</p>" if self._said else "")
+        return table + (f"<p style='color:#c0392b'>{html.escape(self._message)}</p>" if self._message else "")
 
     def _plot(self) -> None:
         table = np.array(self._trace, dtype=np.float64)

@@ -143,7 +143,7 @@ def evolving(robot, robots=64):
     return rhythm, everyone, nobody
 
 
-def test_heirs_are_near_the_gaits_that_got_farthest(robot):
+def test_mutations_are_near_the_gaits_that_got_farthest(robot):
     rhythm, everyone, nobody = evolving(robot)
     far = torch.arange(64) >= 48
     parents = {name: getattr(rhythm, name)[far].clone() for name in rhythm.MUTATION}
@@ -159,7 +159,7 @@ def test_heirs_are_near_the_gaits_that_got_farthest(robot):
     assert (rhythm.frequency >= 1.2).all() and (rhythm.frequency <= 2.4).all()
 
 
-def test_heirs_alternate_too(robot, still):
+def test_mutations_alternate_too(robot, still):
     rhythm, everyone, nobody = evolving(robot)
     for _ in range(20):
         rhythm(nobody, torch.rand(64))
@@ -179,7 +179,7 @@ def test_only_the_farthest_is_remembered(robot):
     assert torch.equal(rhythm.best_phase, best) and (rhythm.farthest == 2.0).all()
 
 
-def test_without_heirs_nothing_is_drawn_besides(robot):
+def test_without_mutations_nothing_else_is_drawn(robot):
     """With ``mutation_share=0`` no further numbers are drawn: the seeds of other trainings keep their meaning."""
     torch.manual_seed(0)
     plain = Rhythm(robot, 4, (1.2, 2.4), DT)
