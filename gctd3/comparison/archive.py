@@ -25,9 +25,7 @@ def check_keep(runs: Path, out: Path) -> None:
     if (out / FOLDER).exists():
         raise RunError(f"{out / FOLDER} exists already: remove it, or choose another out, for keep_runs=true.")
     if out.resolve().is_relative_to(runs.resolve()):
-        raise RunError(
-            f"out={out} is below runs={runs}, whose next report would find the runs kept there a second time."
-        )
+        raise RunError(f"out={out} is below runs={runs}, whose next report would find the copies of keep_runs=true.")
 
 
 def keep(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = ()) -> None:

@@ -68,6 +68,6 @@ def test_nothing_is_overwritten_nor_found_twice(tmp_path):
     (tmp_path / "out" / "runs").mkdir(parents=True)
     with pytest.raises(RunError, match="exists already"):
         report(ReportSettings(str(tmp_path / "runs"), str(tmp_path / "out"), True))
-    with pytest.raises(RunError, match="would find what keep_runs=true keeps"):
+    with pytest.raises(RunError, match="would find the copies of keep_runs=true"):
         report(ReportSettings(str(tmp_path / "runs"), str(tmp_path / "runs" / "report"), True))
     assert not (tmp_path / "runs" / "report").exists()

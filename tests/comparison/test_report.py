@@ -136,7 +136,7 @@ def test_robustness_of_made_up_runs(pair, tmp_path):
     assert 'id="robustness"' in text and (tmp_path / "out" / "tables" / "robustness.csv").is_file()
     assert {"conditions", "pushes"} <= {file.stem for file in (tmp_path / "out" / "figures").glob("*.svg")}
     examined(pair / "a1", 0.5, [3.0, 4.0])
-    with pytest.raises(RunError, match=r"what robustness\.json tried"):
+    with pytest.raises(RunError, match=r"the perturbations of robustness\.json"):
         check_together(find_runs(pair))
     (pair / "a1" / "robustness.json").write_text("{}")
     with pytest.raises(RunError, match="lacks conditions"):
