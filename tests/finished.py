@@ -1,4 +1,4 @@
-"""Train a few tiny runs once per test session, for the tests that need a finished run and not its training."""
+"""Make once per test session what many tests need: a few tiny runs, for those that need no training of their own."""
 
 import contextlib
 import io
@@ -32,10 +32,26 @@ RUNS = {
 }
 
 
+def once(directory, make):
+    """What ``make`` puts into a folder below ``directory`` when this is first asked for; that folder.
+
+    Test processes of one session share the directory: a lock on disk makes the others wait for the first.
+    """
+    made, whole = directory / "made", directory / "whole"
+    directory.mkdir(parents=True, exist_ok=True)
+    with FileLock(directory / "lock"):
+        if not whole.exists():
+            # What failed, or was killed, must not be taken for something finished.
+            shutil.rmtree(made, ignore_errors=True)
+            made.mkdir()
+            with undisturbed():
+                make(made)
+            whole.touch()
+    return made
+
+
 class Finished:
     """Hold finished runs by the names in ``RUNS``, each trained for the first test that asks for it.
-
-    Test processes of one session share the folder: a lock on disk makes the others wait for the first.
 
     Args:
         folder: Holds the runs.
@@ -46,17 +62,9 @@ class Finished:
 
     def __getitem__(self, name):
         """Return the run's directory, only to be read: other tests read it as well."""
-        directory = self.folder / name.replace(" ", "_")
-        run, whole = directory / "run", directory / "whole"
-        directory.mkdir(parents=True, exist_ok=True)
-        with FileLock(directory / "lock"):
-            if not whole.exists():
-                # A training that failed, or was killed, must not be taken for a finished one.
-                shutil.rmtree(run, ignore_errors=True)
-                overrides, without = RUNS[name]
-                with undisturbed():
-                    train(run, *overrides, without=without)
-                whole.touch()
+        overrides, without = RUNS[name]
+        folder = once(self.folder / name.replace(" ", "_"), lambda to: train(to / "run", *overrides, without=without))
+        run = folder / "run"
         self.handed_out.setdefault(name, (run, contents(run)))
         return run
 

@@ -8,6 +8,7 @@ import sys
 import time
 
 import pytest
+from hydra._internal.hydra import Hydra
 
 from gctd3.training import trainer as trainer_module
 from gctd3.training.trainer import Trainer
@@ -51,6 +52,9 @@ def command(name, *arguments, trainer=None):
         quiet = ["hydra/job_logging=none", "hydra/hydra_logging=none"]
         patch.setattr(sys, "argv", [f"gctd3.{name}", *map(str, arguments), *quiet])
         patch.setattr(trainer_module, "Trainer", trainer or Recorded)
+        # Hydra would compose everything once more, only to learn whether hydra.mode asks for a sweep, and take any
+        # failure for a no. In processes of their own the commands do so.
+        patch.setattr(Hydra, "get_mode", lambda *_, **__: None)
         try:
             importlib.import_module(f"gctd3.{name}").main()
         except SystemExit as end:

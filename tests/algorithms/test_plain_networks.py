@@ -14,6 +14,15 @@ from gctd3.errors import PerformanceWarning
 
 KINDS = {"td3": "PlainTD3", "sac": "PlainSAC", "ddpg": "PlainDDPG"}
 each = pytest.mark.parametrize("name", KINDS)
+
+
+def quick(*names):
+    """Parametrise over the kinds: those that are not named run every night."""
+    return pytest.mark.parametrize(
+        "name", [name if name in names else pytest.param(name, marks=pytest.mark.nightly) for name in KINDS]
+    )
+
+
 # DDPG has one critic, so it has no vmap and no warning.
 pytestmark = pytest.mark.filterwarnings("ignore::gctd3.errors.PerformanceWarning")
 
@@ -22,7 +31,7 @@ def plain(name, privileged_dim=PRIVILEGED, **settings):
     return build(name, None, privileged_dim, plain_networks.PlainArchitecture, **settings)
 
 
-@each
+@quick("td3", "ddpg")
 def test_learns_a_toy_problem(name):
     settings = {"alpha": 0.05} if name == "sac" else {}
     algorithm = plain(name, 0, learning_rate=3e-3, tau=0.05, **settings)
@@ -58,6 +67,7 @@ def test_privileged_critics_and_a_restored_state(name):
     assert len(set(losses)) == 3
 
 
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning")
 def test_traced_losses_update_as_they_are(monkeypatch):
     compiler = torch.compile
@@ -73,7 +83,7 @@ def test_traced_losses_update_as_they_are(monkeypatch):
         torch.testing.assert_close(value, states[1][key])
 
 
-@each
+@quick("td3")
 def test_trains_and_is_evaluated_from_the_command_line(tmp_path, name):
     run = train(tmp_path / "run", f"algo={name}", f"algo._target_=plain_networks.{KINDS[name]}")
     assert float(rows(run)[-1]["updates"]) > 0

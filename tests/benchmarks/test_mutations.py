@@ -62,7 +62,8 @@ def made(root, folder):
     return root
 
 
-@pytest.mark.parametrize("seed, outcome", [pytest.param(1, "survived", marks=pytest.mark.nightly), (3, "killed")])
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed, outcome", [(1, "survived"), (3, "killed")])
 def test_the_same_fault_in_two_layouts(module, tmp_path, monkeypatch, capsys, seed, outcome):
     trees = [f"{name}:{made(tmp_path / name, folder)}:{sys.executable}" for name, folder in (("a", "x"), ("b", "y"))]
     monkeypatch.setattr(module, "GROUPS", {"task": ["gctd3/x/*.py"]})

@@ -137,7 +137,7 @@ def test_batches_hold_the_same_transitions(sides, algo, task, monkeypatch):
     assert theirs.actions.abs().max() <= 1.0 and theirs.discounts is None
 
 
-@pytest.mark.parametrize("algo", ["td3", "sac", "ddpg"])
+@pytest.mark.parametrize("algo", ["td3", *(pytest.param(algo, marks=pytest.mark.nightly) for algo in ("sac", "ddpg"))])
 def test_trainings_go_the_same_way(sides, algo, monkeypatch):
     """Whole trainings agree, each with its own loop: they act, store, sample and update in the same order."""
     trainer, model = sides(algo, "halfcheetah")

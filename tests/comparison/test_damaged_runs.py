@@ -51,7 +51,7 @@ def test_an_empty_progress_and_an_empty_trace_are_of_runs_without(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "left", [*(pytest.param(text, marks=pytest.mark.nightly) for text in ("", "\n")), "\0\0\0\0", None]
+    "left", ["\0\0\0\0", *(pytest.param(text, marks=pytest.mark.nightly) for text in ("", "\n", None))]
 )
 def test_runs_without_a_configuration_are_named_and_the_rest_is_reported(tmp_path, left):
     runs = tmp_path / "runs"

@@ -3,6 +3,7 @@
 import json
 import shutil
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pytest
@@ -147,9 +148,14 @@ def test_every_figure_is_there_and_has_a_size(opened, width):
     assert len(every(page, ".film small", "e.textContent.match(/^[\\d.]+ s, [\\d.]+ m$/)[0]")) == len(frames)
 
 
-@pytest.mark.parametrize("width", [375, 1280])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_all_of_it_can_be_read(opened, width, scheme):
+@pytest.mark.parametrize(
+    ("scheme", "width"),
+    [
+        pytest.param(*one, marks=[pytest.mark.nightly] * (one != ("dark", 375)))
+        for one in product(("light", "dark"), (375, 1280))
+    ],
+)
+def test_all_of_it_can_be_read(opened, scheme, width):
     page = opened(width, scheme)
     # No element is wider than the page: on a phone wide tables scroll in their own frame.
     assert page.evaluate("document.documentElement.scrollWidth") <= width
@@ -162,7 +168,7 @@ def test_all_of_it_can_be_read(opened, width, scheme):
     assert min(every(page, "small, td, th, p", "parseFloat(getComputedStyle(e).fontSize)")) >= 11
 
 
-@pytest.mark.parametrize("width", [1280, 1920])
+@pytest.mark.parametrize("width", [1280, pytest.param(1920, marks=pytest.mark.nightly)])
 def test_no_table_is_cut(opened, width):
     page = opened(width)
     tables = every(page, ".scroll", "[e.ariaLabel, e.scrollWidth - e.clientWidth]")

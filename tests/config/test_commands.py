@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from running import command, process, tiny, train
+from running import command, process, tiny
 
 from gctd3.files import read_manifest, write_manifest
 
@@ -18,8 +18,8 @@ def _elsewhere(tmp_path, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return train(tmp_path_factory.mktemp("trained") / "run")
+def run(finished, tmp_path_factory):
+    return finished.copy("gctd3", tmp_path_factory.mktemp("trained") / "run")
 
 
 def answer(capsys, name, *arguments):
@@ -91,7 +91,7 @@ def test_too_little_memory_is_answered(capsys, tmp_path):
     assert "Traceback" not in error and "error: Not enough memory" in error and "replay.buffer_size" in error
 
 
-@pytest.mark.parametrize("argument", ["algo=ppo", "env.num_envs=0"])
+@pytest.mark.parametrize("argument", [pytest.param("algo=ppo", marks=pytest.mark.nightly), "env.num_envs=0"])
 def test_a_process_ends_with_2_and_one_message(tmp_path, argument):
     done = process("train", *tiny(tmp_path / "run", argument))
     assert done.returncode == 2

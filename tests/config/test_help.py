@@ -85,14 +85,19 @@ def fresh(*arguments):
 
 
 def test_the_list_and_the_help_need_nothing_heavy():
-    for arguments in ([], ["--help"], *([command, "--help"] for command in COMMANDS)):
-        code = (
-            f"import sys, runpy; sys.argv[1:] = {arguments}; runpy.run_module('gctd3', run_name='__main__');"
-            "print([name for name in ('torch', 'torchrl', 'hydra') if name in sys.modules])"
-        )
-        done = fresh("-W", "error", "-c", code)
-        assert done.returncode == 0 and done.stdout.endswith("[]\n") and done.stderr == "", done.stderr
-        assert summary("render") in done.stdout or "Keys (key=default):" in done.stdout
+    """One after the other: the first that imports it is named."""
+    calls = [[], ["--help"], *([command, "--help"] for command in COMMANDS)]
+    code = (
+        "import sys, runpy\n"
+        "for arguments in {}:\n"
+        "    sys.argv[1:] = arguments; runpy.run_module('gctd3', run_name='__main__')\n"
+        "    print([name for name in ('torch', 'torchrl', 'hydra') if name in sys.modules])\n"
+    )
+    done = fresh("-W", "error", "-c", code.format(calls))
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    *said, rest = done.stdout.split("[]\n")
+    assert len(said) == len(calls) and rest == ""
+    assert all(summary("render") in one or "Keys (key=default):" in one for one in said)
 
 
 def test_the_reference_needs_nothing_heavy():

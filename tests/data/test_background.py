@@ -17,7 +17,7 @@ def child():
     return subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], preexec_fn=ask)
 started = in_thread(child, stays={stays}).result()
 try:
-    print(started.wait(2.0))
+    print(started.wait(0.5))
 except subprocess.TimeoutExpired:
     print("lives")
     started.kill()

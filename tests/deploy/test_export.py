@@ -137,7 +137,7 @@ def stochastic(graph, reflection):
     return gctd3.make_stochastic_actor(graph, 10, 6, Network((), (16,)))
 
 
-@pytest.mark.parametrize("make", [plain, shared, stochastic])
+@pytest.mark.parametrize("make", [plain, pytest.param(shared, marks=pytest.mark.nightly), stochastic])
 def test_any_network_can_be_exported(robot, graph, tmp_path, make):
     policy = make(graph, Reflection.from_robot(robot)).requires_grad_(False).eval()
     file = tmp_path / "policy.onnx"

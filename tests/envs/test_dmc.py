@@ -150,6 +150,7 @@ def test_there_is_no_outcome_before_the_first_step(env):
         _ = env.task.outcome
 
 
+@pytest.mark.nightly
 def test_import_is_silent_without_a_display():
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL")}
     command = [sys.executable, "-c", "import gctd3.envs.dmc"]

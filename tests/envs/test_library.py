@@ -53,7 +53,7 @@ def test_trains_and_evaluates(tmp_path, task, nodes, actions, capsys):
     assert "film is for tasks that gctd3 simulates" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("algorithm", ["sac", "ddpg"])
+@pytest.mark.parametrize("algorithm", ["sac", pytest.param("ddpg", marks=pytest.mark.nightly)])
 def test_other_algorithms_train_too(tmp_path, algorithm):
     run = train(tmp_path / "run", f"algo={algorithm}", "task=walker2d", *FEW, without=WITHOUT)
     settings = load_settings(run)

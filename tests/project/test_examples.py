@@ -64,6 +64,7 @@ def test_sac():
     assert returns and all(map(math.isfinite, returns))
 
 
+@pytest.mark.nightly
 def test_transfer(tmp_path, monkeypatch):
     begun = []
 

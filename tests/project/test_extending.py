@@ -24,7 +24,8 @@ def trained(request, tmp_path, monkeypatch):
     path, arguments = said(request.param)
     monkeypatch.chdir(EXTENDING.parents[1])
     monkeypatch.syspath_prepend(path)
-    tiny = [f"{key}={value}" for key, value in TINY.items() if key not in without(request.param)]
+    few = {**TINY, "total_frames": 120, "exploration.learning_starts": 40, "evaluation.every": 60}
+    tiny = [f"{key}={value}" for key, value in few.items() if key not in without(request.param)]
     assert command("train", *arguments[3:], *tiny, f"hydra.run.dir={tmp_path / 'run'}") == 0
     return tmp_path / "run"
 
@@ -47,6 +48,6 @@ def test_it_trains_and_is_evaluated_and_resumed(trained):
     run = trained
     assert len(rows(run)) >= 2
     # What is imported already is trusted.
-    assert command("evaluate", f"run={run}", "episodes=2", "threads=1") == 0
-    assert command("train", f"resume={run}", "total_frames=320") == 0
-    assert int(rows(run)[-1]["frames"]) == 320
+    assert command("evaluate", f"run={run}", "episodes=1", "threads=1") == 0
+    assert command("train", f"resume={run}", "total_frames=160") == 0
+    assert int(rows(run)[-1]["frames"]) == 160

@@ -199,21 +199,21 @@ def both(fast, long):
     return pytest.mark.parametrize("count", [fast, pytest.param(long, marks=pytest.mark.nightly)])
 
 
-@both(15, 350)
+@both(6, 350)
 def test_command_lines(here, count):
     cases(count)(
         given(st.lists(OVERRIDE, min_size=1, max_size=3))(lambda overrides: check_overrides(here, overrides))
     )()
 
 
-@both(5, 120)
+@both(3, 120)
 def test_configurations_of_runs(run, here, count):
     cases(count)(
         given(CONFIG_DAMAGE, st.integers(0, 3))(lambda change, which: check_config(run, here, change, which))
     )()
 
 
-@both(6, 150)
+@both(3, 150)
 def test_files_of_runs(run, here, count):
     cases(count)(
         given(NUMBER, damages(), NUMBER, KIND)(

@@ -204,7 +204,8 @@ def test_the_front_door_imports_nothing_until_it_is_used():
             ["gctd3.robots.robot", "gctd3.robots.graph", "gctd3.tasks.walk"],
             ("torch", "torchrl", "hydra", "dm_control"),
         ),
-        (["gctd3.nn", "gctd3.algorithms.td3"], ("hydra", "dm_control")),
+        # To import PyTorch takes long.
+        pytest.param(["gctd3.nn", "gctd3.algorithms.td3"], ("hydra", "dm_control"), marks=pytest.mark.nightly),
         (["gctd3.compat"], ("torch", "torchrl", "hydra", "dm_control", "mujoco")),
         (["gctd3.config.build"], ("torch", "torchrl", "dm_control", "mujoco")),
     ],

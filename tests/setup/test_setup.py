@@ -51,8 +51,8 @@ def test_the_robot_is_compiled_once_and_its_graph_built_once(tmp_path, seen, bac
     assert seen == before_the_first_step
 
 
-def test_a_run_is_read_once(tmp_path, seen):
-    assert command("train", *tiny(tmp_path / "run")) == 0
+def test_a_run_is_read_once(finished, tmp_path, seen):
+    run = finished.copy("gctd3", tmp_path / "run")
     seen.clear()
-    assert command("evaluate", f"run={tmp_path / 'run'}", "episodes=1", "threads=1") == 0
+    assert command("evaluate", f"run={run}", "episodes=1", "threads=1") == 0
     assert seen == ["read biped", "compile", "graph"]

@@ -55,7 +55,7 @@ def follow(env, state, actions):
         ("gymnasium", "HalfCheetah-v5", 990, 20),
         ("gymnasium", "Humanoid-v5", 15, 30),
         ("dm_control", "swimmer-swimmer6", 990, 20),
-        ("dm_control", "quadruped-walk", 990, 20),
+        pytest.param("dm_control", "quadruped-walk", 990, 20, marks=pytest.mark.nightly),
     ],
 )
 def test_a_robot_goes_on_as_it_would_have(tmp_path, library, name, before, after):

@@ -35,7 +35,7 @@ WAYS = ["--config-dir=own", "--config-dir own", "-cd own", "hydra.searchpath=[fi
 def test_options_stand_anywhere_among_the_settings(tmp_path, way):
     words = way.format(tmp_path).split(" ")
     # Options on both sides of key=value, which has no prescribed order.
-    assert command("train", "algo=td3", *words, *tiny(tmp_path / "run", "robot=mine", "total_frames=160")) == 0
+    assert command("train", "algo=td3", *words, *tiny(tmp_path / "run", "robot=mine", "total_frames=80")) == 0
     settings = load_settings(tmp_path / "run")
     ends = settings.task.terminations
     # A setting of its own, one of the quadruped's, and a default.
@@ -43,10 +43,10 @@ def test_options_stand_anywhere_among_the_settings(tmp_path, way):
     assert settings.robot.name == "robot.xml" and settings.setup().robot.feet == ("leg_r", "leg_l")
     # The run holds the YAML's content, so the YAML may be missing.
     resume = f"resume={tmp_path / 'run'}"
-    assert command("train", resume, *words, "total_frames=320") == 0
+    assert command("train", resume, *words, "total_frames=120") == 0
     (tmp_path / "own").rename(tmp_path / "gone")
-    assert command("train", resume, "total_frames=400") == 0
-    assert rows(tmp_path / "run")[-1]["frames"] == "400"
+    assert command("train", resume, "total_frames=160") == 0
+    assert rows(tmp_path / "run")[-1]["frames"] == "160"
     resumed = load_settings(tmp_path / "run")
     assert (resumed.task, resumed.env) == (settings.task, settings.env)
 

@@ -15,14 +15,14 @@ from gctd3.training.saved_configuration import save_config
 
 ALGORITHMS = ("gctd3", "td3", "ddpg", "sac")
 # The state of a backend is the same for all algorithms, and that of an algorithm is tested by itself as well.
-QUICK = [("gctd3", "batched"), ("sac", "batched"), ("gctd3", "dm_control")]
+QUICK = [("gctd3", "batched", "frames"), ("gctd3", "dm_control", "frames")]
 CASES = [
-    pytest.param(*case, "frames", marks=[] if case in QUICK else [pytest.mark.nightly])
-    for case in product(ALGORITHMS, ("batched", "dm_control"))
+    pytest.param(*case, marks=[] if case in QUICK else [pytest.mark.nightly])
+    for case in [*product(ALGORITHMS, ("batched", "dm_control"), ["frames"]), ("td3", "batched", "stacked")]
 ]
 
 
-@pytest.mark.parametrize(("algo", "backend", "storage"), [*CASES, ("td3", "batched", "stacked")])
+@pytest.mark.parametrize(("algo", "backend", "storage"), CASES)
 def test_stopped_and_resumed_equals_left_alone(finished, tmp_path, algo, backend, storage):
     settings = [f"algo={algo}", f"env.backend={backend}", f"replay.storage={storage}"]
     left_alone = {("batched", "frames"): algo, ("dm_control", "frames"): {"gctd3": "dm_control"}.get(algo)}
@@ -60,17 +60,16 @@ def test_stopped_after_it_had_begun_again(tmp_path, storage):
 
 
 def test_more_frames_extend_a_finished_run(finished, tmp_path):
-    long = train(tmp_path / "long", "total_frames=400")
+    run = train(tmp_path / "run", "total_frames=160", without=["total_frames"])
+    assert command("train", f"resume={run}") == 2
+    assert command("train", f"resume={run}", "total_frames=240") == 0
+    assert rows(run, drop=TIMED) == rows(finished["gctd3"], drop=TIMED)
+    # It is now a run of 240 frames.
+    assert command("train", f"resume={run}") == 2
+
+
+def test_other_settings_are_refused_by_name_and_harmless_ones_taken(finished, tmp_path, capsys):
     run = finished.copy("gctd3", tmp_path / "run")
-    assert command("train", f"resume={run}") == 2
-    assert command("train", f"resume={run}", "total_frames=400") == 0
-    assert rows(run, drop=TIMED) == rows(long, drop=TIMED)
-    # The run now has 400 frames.
-    assert command("train", f"resume={run}") == 2
-
-
-def test_other_settings_are_refused_by_name_and_harmless_ones_taken(tmp_path, capsys):
-    run = stopped(tmp_path / "run", 80)
     capsys.readouterr()
     assert command("train", f"resume={run}", "algo.gamma=0.9", "gradient_steps=3", "logger=csv") == 2
     error = capsys.readouterr().err
@@ -79,8 +78,8 @@ def test_other_settings_are_refused_by_name_and_harmless_ones_taken(tmp_path, ca
     assert "logger:" not in error
     assert command("train", f"resume={run}", "algo=sac") == 2
     assert "algo._target_: 'gctd3.TD3Settings' -> 'gctd3.SACSettings" in capsys.readouterr().err
-    assert command("train", f"resume={run}", "logger=csv", "total_frames=160") == 0
-    assert [row["frames"] for row in rows(run)] == ["80", "160"]
+    assert command("train", f"resume={run}", "logger=csv", "total_frames=320") == 0
+    assert [row["frames"] for row in rows(run)] == ["80", "160", "240", "320"]
     assert (run / "csv").is_dir()
 
 
@@ -110,6 +109,7 @@ def test_the_csv_logger_goes_back_to_the_checkpoint(tmp_path):
             assert (part / "csv" / file).read_text() == (whole / "csv" / file).read_text(), file
 
 
+@pytest.mark.nightly
 def test_tensorboard_goes_back_to_the_checkpoint(tmp_path):
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     part = stopped(tmp_path / "part", 96, "logger=tensorboard")
@@ -135,6 +135,7 @@ def test_no_run_to_resume(tmp_path, capsys, missing):
 def test_a_damaged_checkpoint_is_passed_over(finished, tmp_path, capsys):
     whole = finished["gctd3"]
     part = stopped(tmp_path / "part", 160, "checkpoint_every=0.001")
+    again = shutil.copytree(part, tmp_path / "again")
     newest, before = sorted((part / "checkpoints").glob("step-*"), reverse=True)[:2]
     state = newest / "state.safetensors"
     damaged = bytearray(state.read_bytes())
@@ -147,7 +148,6 @@ def test_a_damaged_checkpoint_is_passed_over(finished, tmp_path, capsys):
     assert str(state) in error
     assert_same_run(whole, part)
     # A part of the replay that only the newest names is damaged: it must not live on in those after it.
-    again = stopped(tmp_path / "again", 160, "checkpoint_every=0.001")
     newest_part = max((again / "checkpoints" / "replay").iterdir())
     newest_part.write_bytes(newest_part.read_bytes()[:-1])
     assert command("train", f"resume={again}") == 0

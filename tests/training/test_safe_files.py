@@ -4,6 +4,7 @@ import pickle
 import re
 import shutil
 import sys
+from itertools import cycle, product
 from pathlib import Path
 
 import pytest
@@ -50,33 +51,30 @@ def test_the_evil_files_are_evil(tmp_path):
     assert marker.exists()
 
 
-def test_nothing_of_a_run_is_executed(tmp_path, capsys, run):
-    """Code in a run's files is not executed, even with valid checksums."""
+@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.nightly)], ids=["by turns", "every one"])
+def test_nothing_of_a_run_is_executed(tmp_path, capsys, run, every):
+    """Code in a run's files is not executed, even with valid checksums; each file is replaced by evil ones."""
     marker = tmp_path / "marker"
-    files = [path.relative_to(run) for path in run.rglob("*") if path.is_file() and path.name != ".lock"]
+    files = sorted(path.relative_to(run) for path in run.rglob("*") if path.is_file() and path.name != ".lock")
     assert {"config.yaml", "manifest.json", "policy.safetensors", "state.safetensors"} <= {path.name for path in files}
-    for evil in evil_files(tmp_path, marker):
-        for file in files:
-            broken = Path(shutil.copytree(run, tmp_path / "broken"))
-            shutil.copy(evil, broken / file)
-            if file.suffix == ".safetensors":
-                seal(broken)
-                with pytest.raises(RunError, match=re.escape(str(broken / file))):
-                    load_tree(broken / file)
-            capsys.readouterr()
-            evaluated = "best-" in str(file) or file.name == "config.yaml"
-            code = (
-                command("evaluate", f"run={broken}", "episodes=1")
-                if evaluated
-                else command("train", f"resume={broken}")
-            )
-            assert code == 2
-            assert "Traceback" not in capsys.readouterr().err
-            if file.name in ("policy.safetensors", "config.yaml"):
-                with pytest.raises(RunError, match=re.escape(str(broken))):
-                    load_policy(broken)
-            assert not marker.exists(), file
-            shutil.rmtree(broken)
+    kinds = evil_files(tmp_path, marker)
+    for evil, file in product(kinds, files) if every else zip(cycle(kinds), files, strict=False):
+        broken = Path(shutil.copytree(run, tmp_path / "broken"))
+        shutil.copy(evil, broken / file)
+        if file.suffix == ".safetensors":
+            seal(broken)
+            with pytest.raises(RunError, match=re.escape(str(broken / file))):
+                load_tree(broken / file)
+        capsys.readouterr()
+        evaluated = "best-" in str(file) or file.name == "config.yaml"
+        code = command("evaluate", f"run={broken}", "episodes=1") if evaluated else command("train", f"resume={broken}")
+        assert code == 2
+        assert "Traceback" not in capsys.readouterr().err
+        if file.name in ("policy.safetensors", "config.yaml"):
+            with pytest.raises(RunError, match=re.escape(str(broken))):
+                load_policy(broken)
+        assert not marker.exists(), file
+        shutil.rmtree(broken)
 
 
 STRANGER = """

@@ -59,8 +59,8 @@ def test_a_training_ends_with_what_to_do_next(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("algorithm", ["gctd3", "td3", "ddpg", "sac"])
-def test_a_run_keeps_the_contract(runs, algorithm):
-    run, _ = runs(algorithm)
+def test_a_run_keeps_the_contract(finished, tmp_path, algorithm):
+    run = finished.copy(algorithm, tmp_path / "run")
     text = (run / ".hydra" / "config.yaml").read_text(encoding="utf-8")
     assert "${" not in text and "???" not in text
     settings = load_settings(run)
@@ -108,14 +108,18 @@ def test_a_later_evaluation_repeats_the_one_in_training(runs, algorithm, capsys)
     assert f"{report['return_mean']:.1f}" in capsys.readouterr().out
 
 
-def test_same_seed_same_run_also_in_another_process(runs, tmp_path):
+def test_same_seed_same_run(runs, finished):
     run, _ = runs("gctd3")
+    assert rows(finished["gctd3"], drop=["wall_s"]) == rows(run, drop=["wall_s"])
+    assert rows(finished["gctd3 seed 1"], drop=["wall_s"]) != rows(run, drop=["wall_s"])
+
+
+@pytest.mark.nightly
+def test_same_seed_same_run_in_another_process(finished, tmp_path):
     done = process("train", *tiny(tmp_path / "again", "algo=gctd3"))
     assert done.returncode == 0, done.stderr
     assert f"python -m gctd3.evaluate run={tmp_path / 'again'}" in done.stdout
-    assert rows(tmp_path / "again", drop=["wall_s"]) == rows(run, drop=["wall_s"])
-    other = train(tmp_path / "other", "seed=1")
-    assert rows(other, drop=["wall_s"]) != rows(run, drop=["wall_s"])
+    assert rows(tmp_path / "again", drop=["wall_s"]) == rows(finished["gctd3"], drop=["wall_s"])
 
 
 def test_every_frame_counts_towards_the_warm_up(runs):
