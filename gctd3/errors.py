@@ -18,6 +18,10 @@ class ConfigError(GCTD3Error, ValueError):
     """Report that a setting is unknown, of the wrong type or out of range."""
 
 
+class TermError(GCTD3Error, RuntimeError):
+    """Report that a term of a task raised an error, which is the cause of this one."""
+
+
 class RunError(GCTD3Error, ValueError):
     """Report that a run directory or checkpoint is missing, incomplete or of another version."""
 

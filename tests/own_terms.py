@@ -216,3 +216,55 @@ class FlatCommand(Command):
 
     def __call__(self, rng, count):
         return rng.random(count)
+
+
+@dataclass(frozen=True)
+class Failing(RewardTerm):
+    """Look for the fourth item of an empty list."""
+
+    def __call__(self, step):
+        return [][3]
+
+
+@dataclass(frozen=True)
+class FailingLater(Termination):
+    """Work when it is tried, and fail in the third step of an episode."""
+
+    def __call__(self, step):
+        if (step.after["step"] > 2).any():
+            raise OSError(5, "the sensor is gone")
+        return step.now.velocity > 100.0
+
+
+@dataclass(frozen=True)
+class FeetDown(NodeFeature):
+    """Count the feet on the ground, as a reading of any name and quantity."""
+
+    kind: ClassVar[str] = "root"
+    quantity: str = "contact"
+    reading: str = "feet_down"
+
+    def readings(self, robot, nodes):
+        return [[Reading(self.reading, "feet on the ground", self.quantity)]]
+
+    def __call__(self, sensed):
+        return sensed.now.feet_down.sum(axis=-1)[..., None, None]
+
+
+@dataclass(frozen=True)
+class Nowhere(NodeFeature):
+    """Do not say of which nodes it is a feature."""
+
+    def readings(self, robot, nodes):
+        return [[] for _ in nodes]
+
+    def __call__(self, sensed):
+        return sensed.now.height
+
+
+@dataclass(frozen=True)
+class Unread(FeetDown):
+    """Say nothing of its readings."""
+
+    def readings(self, robot, nodes):
+        return None

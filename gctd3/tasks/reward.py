@@ -37,9 +37,10 @@ class Reward:
     terms: Mapping[str, Any] = field(default_factory=paper_terms)
 
     def __post_init__(self) -> None:
-        if not any(term is not None for term in self.terms.values()):
+        terms = check_terms("terms", self.terms, RewardTerm)
+        if not terms:
             raise ConfigError("terms must hold at least one term, got none.")
-        object.__setattr__(self, "terms", check_terms("terms", self.terms, RewardTerm))
+        object.__setattr__(self, "terms", terms)
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Return the class and the settings of each term, for files that record the reward of an evaluation."""

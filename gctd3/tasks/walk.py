@@ -72,4 +72,5 @@ class WalkingTask(SimulatedTask):
         settings: Composition | None = None,
         graph: KinematicGraph | None = None,
     ) -> None:
-        super().__init__(robot, reward or Reward(), settings or WalkSettings(), graph)
+        asked, composed = Reward() if reward is None else reward, WalkSettings() if settings is None else settings
+        super().__init__(robot, asked, composed, graph)

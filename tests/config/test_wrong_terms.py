@@ -1,7 +1,14 @@
 """Terms that are wrong on the command line: one line that names the key, the value and what is accepted."""
 
 import pytest
+from compositions import STILL, env_of, walking
+from own_terms import Failing, FailingLater
 from running import command, tiny
+
+from gctd3.envs.factory import make_env
+from gctd3.errors import ConfigError, TermError
+from gctd3.tasks.reward import Reward
+from gctd3.tasks.walk import WalkSettings
 
 COMMAND = "+task.commands.speed._target_=gctd3.UniformCommand"
 NOTHING = [f"reward.terms.{name}=null" for name in ("velocity", "progress", "height", "fall", "long_contact")]
@@ -45,6 +52,23 @@ WRONG = {
     "+task.randomisations.x._target_=own_terms.ShortPose": ["task.randomisations.x must return finite qpos [", "(1,)"],
     "+task.randomisations.x._target_=own_terms.NoPose": ["task.randomisations.x must return", "got NoneType"],
     "+task.commands.x._target_=own_terms.FlatCommand": ["task.commands.x must draw [2, 1] numbers, got [2]"],
+    "+reward.terms.x._target_=own_terms.Failing": [
+        "reward.terms.x failed in line",
+        "of own_terms.py: IndexError: list index out of range",
+    ],
+    # What it senses.
+    "+task.features.x._target_=own_terms.Nowhere": ["task.features.x", "kind None", "kinds: root, base, joint, ground"],
+    "+task.features.x._target_=own_terms.Unread": ["task.features.x must say as many readings for each of 1", "None"],
+    "+task.features.x._target_=own_terms.FeetDown +task.features.y._target_=own_terms.FeetDown": [
+        "task.features.y has a reading 'feet_down', and so has task.features.x"
+    ],
+    "+task.features.x._target_=own_terms.FeetDown +task.features.x.reading=height_m": [
+        "task.features.x has a reading 'height_m', and so has task.features.height"
+    ],
+    "+task.features.x._target_=own_terms.FeetDown +task.features.x.quantity=velocitie": [
+        "the reading 'feet_down' has the quantity 'velocitie'",
+        "Did you mean 'velocity'? Quantities: angle, angular velocity, length, velocity, contact, command",
+    ],
     # What it remembers.
     "+reward.terms.x._target_=own_terms.WrongShape": ["reward.terms.x must remember 'sums' as [2, 2]", "got [2]"],
     "+reward.terms.x._target_=own_terms.OtherType": ["reward.terms.x must remember 'halves'", "int64, got", "float64"],
@@ -71,6 +95,42 @@ def test_a_wrong_term_is_answered_in_a_line(capfd, tmp_path, monkeypatch, argume
     assert error.startswith("error: ") and error.count("\n") == 1, error
     assert all(words in error for words in WRONG[arguments]), error
     assert not list(tmp_path.iterdir())
+
+
+def test_a_term_that_fails_in_a_training_is_named(capfd, tmp_path):
+    assert command("train", *tiny(tmp_path / "run", "+task.terminations.x._target_=own_terms.FailingLater")) == 2
+    error = capfd.readouterr().err
+    assert "error: task.terminations.x failed in line" in error
+    assert "of own_terms.py: OSError: [Errno 5] the sensor is gone" in error
+
+
+def test_the_cause_of_a_term_that_fails_is_kept():
+    with pytest.raises(ConfigError, match=r"reward.terms.x failed") as caught:
+        walking(of=Reward({"x": Failing()}))
+    assert isinstance(caught.value.__cause__, IndexError)
+    task = walking(ends={"x": FailingLater()}, **STILL)
+    with pytest.raises(TermError, match=r"task.terminations.x failed") as failed:
+        env_of(task).rollout(5)
+    assert isinstance(failed.value.__cause__, OSError)
+
+
+@pytest.mark.parametrize(
+    "make, said",
+    [
+        (lambda: WalkSettings(features=None), "features must be a mapping of terms by name, got None"),
+        (lambda: WalkSettings(terminations=[Failing()]), "terminations must be a mapping of terms by name, got [Fail"),
+        (lambda: Reward(terms=[Failing()]), "terms must be a mapping of terms by name, got [Failing("),
+        (lambda: Reward(terms=None), "terms must be a mapping of terms by name, got None"),
+        (lambda: make_env(reward={"x": Failing()}), "reward must be a Reward, got {'x': Failing("),
+        (lambda: make_env(reward={}), "reward must be a Reward, got {}"),
+        (lambda: make_env(task="walk"), "task must be a TaskSettings, got 'walk'"),
+        (lambda: walking(of=Failing()), "reward must be a Reward, got Failing("),
+    ],
+)
+def test_what_is_no_composition_is_answered_from_python_too(make, said):
+    with pytest.raises(ConfigError) as caught:
+        make()
+    assert str(caught.value).startswith(said)
 
 
 def test_two_terms_may_remember_the_same_thing(tmp_path):
