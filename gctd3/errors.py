@@ -74,6 +74,12 @@ def check_between(settings: object, least: float, most: float, *names: str) -> N
             raise ConfigError(f"{name} must be at most {most:,}, got {value}.")
 
 
+def check_kind(name: str, given: object, kind: type) -> None:
+    """Raise a :class:`ConfigError` unless ``given`` is an object of a class."""
+    if not isinstance(given, kind):
+        raise ConfigError(f"{name} must be a {kind.__name__}, got {given!r}.")
+
+
 def check_seed(name: str, seed: int) -> None:
     """Raise a :class:`ConfigError` unless ``seed`` fits every generator (NumPy's legacy one takes 32 bits)."""
     if not 0 <= seed < 2**32:

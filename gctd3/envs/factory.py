@@ -22,7 +22,7 @@ from gctd3.envs.check import CheckStep
 from gctd3.envs.serial import SerialRobots
 from gctd3.envs.settings import Backend, EnvSettings
 from gctd3.envs.simulation import Simulation
-from gctd3.errors import ConfigError
+from gctd3.errors import check_kind
 from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import Task, TaskSettings, check_backend
@@ -121,8 +121,7 @@ def make_env(
         torch.Size([3, 8, 10])
     """
     asked = WalkSettings() if task is None else task
-    if not isinstance(asked, TaskSettings):
-        raise ConfigError(f"task must be a TaskSettings, got {task!r}.")
+    check_kind("task", asked, TaskSettings)
     asked = asked if history is None else replace(asked, history=history)
-    built = asked.build(RobotSettings(robot), Reward() if reward is None else reward)
+    built = asked.build(RobotSettings(robot), reward)
     return build_env(built, EnvSettings(backend=backend, num_envs=num_envs), seed)

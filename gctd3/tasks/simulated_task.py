@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gctd3.errors import ConfigError, suggest
+from gctd3.errors import ConfigError, check_kind, suggest
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
@@ -60,10 +60,10 @@ class Composition(TaskSettings):
                     f"features.{name} must be null or a mapping whose _target_ is a NodeFeature, got {feature!r}."
                 )
 
-    def build(self, robot: RobotSettings, reward: Reward) -> SimulatedTask:
-        """Build the task, its robot and its graph."""
+    def build(self, robot: RobotSettings, reward: Reward | None = None) -> SimulatedTask:
+        """Build the task, its robot and its graph; under the paper's reward if ``reward`` is ``None``."""
         loaded = robot.load()
-        return SimulatedTask(loaded, reward, self, robot.graph_of(loaded))
+        return SimulatedTask(loaded, Reward() if reward is None else reward, self, robot.graph_of(loaded))
 
 
 class SimulatedTask:
@@ -91,9 +91,10 @@ class SimulatedTask:
         settings: Composition,
         graph: KinematicGraph | None = None,
     ) -> None:
-        for name, given, kind in (("reward", reward, Reward), ("settings", settings, Composition)):
-            if not isinstance(given, kind):
-                raise ConfigError(f"{name} must be a {kind.__name__}, got {given!r}.")
+        check_kind("reward", reward, Reward)
+        check_kind("settings", settings, Composition)
+        if not reward.terms:
+            raise ConfigError("reward.terms must hold at least one term, got none.")
         self.robot, self.reward, self.settings = robot, reward, settings
         self.control_dt, self.history = settings.control_dt, settings.history
         robot.check_walking()

@@ -47,8 +47,8 @@ class WalkSettings(Composition):
     terminations: Mapping[str, Any] = field(default_factory=paper_terminations)
     randomisations: Mapping[str, Any] = field(default_factory=paper_randomisations)
 
-    def build(self, robot: RobotSettings, reward: Reward) -> WalkingTask:
-        """Build the task, its robot and its graph."""
+    def build(self, robot: RobotSettings, reward: Reward | None = None) -> WalkingTask:
+        """Build the task, its robot and its graph; under the paper's reward if ``reward`` is ``None``."""
         loaded = robot.load()
         return WalkingTask(loaded, reward, self, robot.graph_of(loaded))
 

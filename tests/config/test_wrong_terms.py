@@ -83,6 +83,12 @@ WRONG = {
     "reward.terms.x._target_=gctd3.Living": ["Unknown key 'reward.terms.x'. To add it: +reward.terms.x._target_=..."],
     # Where it runs.
     "env.backend=library": ["env.backend must be batched or dm_control for walk, got library"],
+    "task=walker_walk reward=table3": [
+        "reward.terms must be empty for walker-walk",
+        "its own reward, got velocity, pro",
+    ],
+    "task=ant +reward.terms.x._target_=gctd3.Living": ["reward.terms must be empty for Ant-v5", "got x"],
+    "task=ant +evaluation.reward.terms.x._target_=gctd3.Living": ["evaluation.reward.terms must be empty for Ant-v5"],
     "task=ant env.backend=batched": ["env.backend must be library for Ant-v5, got batched"],
 }
 
