@@ -1,6 +1,6 @@
 """Terms of one's own, as a package beside the library has them: right ones, and one for each way to be wrong."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -268,3 +268,16 @@ class Unread(FeetDown):
 
     def readings(self, robot, nodes):
         return None
+
+
+@dataclass(frozen=True)
+class Listed(Remembers):
+    """Take a list and a mapping of anything."""
+
+    speeds: list = field(default_factory=list)
+    by_name: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        assert type(self.speeds) is list
+        if 3 in self.speeds:
+            raise ArithmeticError("no three")

@@ -19,7 +19,8 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
 import gctd3
-from gctd3.config.fields import TARGET, describe, find, is_settings
+from gctd3.config.fields import TARGET, describe, find, is_settings, meanings
+from gctd3.config.suggestions import nearest
 from gctd3.errors import ConfigError, suggest
 
 OWN = "gctd3"
@@ -89,31 +90,44 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
     # Nothing else is called, so that reading somebody's configuration cannot run a program.
     if not is_settings(function):
         raise ConfigError(f"{where}: _target_ {target!r} is not a dataclass of settings.")
+    if inspect.isabstract(function):
+        lacking = ", ".join(sorted(getattr(function, "__abstractmethods__", ())))
+        raise ConfigError(f"{where}: _target_ {target!r} is abstract: a class that defines {lacking} is needed.")
     parameters = inspect.signature(function).parameters
     hints = _hints(function)
     for key, value in arguments.items():
         full = f"{path}.{key}".lstrip(".")
         if key not in parameters:
-            raise ConfigError(f"Unknown key {full!r}.{suggest(key, parameters)} Accepted: {', '.join(parameters)}.")
+            said = meanings(function)
+            near = nearest(key, {name: said.get(name, "") for name in parameters})
+            raise ConfigError(f"Unknown key {full!r}.{near} Accepted: {', '.join(parameters)}.")
         if key in hints and not _fits(value, hints[key]):
             hint = suggest(value, _options(hints[key])) if isinstance(value, str) else ""
             raise ConfigError(f"{full} must be {describe(hints[key])}, got {value!r}.{hint}")
     missing = [n for n, p in parameters.items() if p.default is inspect.Parameter.empty and n not in arguments]
     if missing:
         raise ConfigError(f"{where} lacks {', '.join(missing)}.")
-    converted = {
-        key: float(value) if isinstance(value, int) and _is_float(hints.get(key)) else value
-        for key, value in arguments.items()
-    }
+    converted = {key: _converted(value, hints.get(key)) for key, value in arguments.items()}
     try:
         return function(**converted)
     except ConfigError as error:
         # Targets name their own fields; the path to them is known here.
         raise ConfigError(f"{path}.{error}".lstrip(".")) from error
+    except Exception as error:  # what a class from outside raises is its own
+        if target.partition(".")[0] == OWN:
+            raise
+        raise ConfigError(f"{where}: {target} cannot be made: {type(error).__name__}: {error}") from error
 
 
 def _hints(function: Callable[..., Any]) -> dict[str, Any]:
     return typing.get_type_hints(function)
+
+
+def _converted(value: Any, hint: Any) -> Any:  # noqa: ANN401
+    """Convert a value that fits: to a fraction where one is asked for, and to a list where only that is."""
+    if isinstance(value, int) and _is_float(hint):
+        return float(value)
+    return list(value) if isinstance(value, tuple) and (typing.get_origin(hint) or hint) is list else value
 
 
 def _is_float(hint: Any) -> bool:  # noqa: ANN401
@@ -134,11 +148,12 @@ def _fits(value: Any, hint: Any) -> bool:  # noqa: ANN401
         return isinstance(value, (int, float)) and not isinstance(value, bool) and _finite(value)
     if hint is int:
         return isinstance(value, int) and not isinstance(value, bool)
-    if origin is not None and issubclass(origin, Mapping):
-        return isinstance(value, Mapping) and all(_fits(v, inner[1]) for v in value.values())
-    if origin is not None and issubclass(origin, Sequence):
-        return isinstance(value, (list, tuple)) and all(_fits(v, inner[0]) for v in value)
-    return isinstance(value, origin or hint)
+    kind = origin or hint
+    if issubclass(kind, Mapping):
+        return isinstance(value, Mapping) and (not inner or all(_fits(v, inner[1]) for v in value.values()))
+    if issubclass(kind, Sequence) and kind is not str:
+        return isinstance(value, (list, tuple)) and (not inner or all(_fits(v, inner[0]) for v in value))
+    return isinstance(value, kind)
 
 
 def _finite(value: float) -> bool:

@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from traceback import walk_tb
 from typing import NoReturn
@@ -22,16 +22,20 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import MarkedYAMLError, YAMLError
 
 from gctd3.compat import own_launcher
-from gctd3.config.help import CONF, asks_for_help, check_installed, command_of, conf, fail, help_of
+from gctd3.config.fields import TARGET, find, is_settings, meanings
+from gctd3.config.help import CONF, asks_for_help, check_installed, choices, command_of, conf, fail, help_of
+from gctd3.config.suggestions import nearest
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
 
 INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
 UNREAD = 141  # and of one whose output nobody reads
+_NULL = "null"
 _JOBLIB = ("hydra/launcher", "joblib")  # an option only where the plugin is installed
-_WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException)
-_USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError)
+_WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException, YAMLError)
+_USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError, YAMLError)
 
 
 def command(config: str, task: Callable[[DictConfig], object]) -> None:
@@ -45,7 +49,7 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
     if asks_for_help():
         print(help_of(command_of(config)))
         return
-    sys.argv[1:] = map(_robot_file, _together(sys.argv[1:]))
+    sys.argv[1:] = map(_robot_file, _together(_without_null(sys.argv[1:], config)))
     # A launcher's plug-in has settings of the same name as ours in conf/, on purpose.
     warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/", category=UserWarning)
     # Hydra would print and exit; this way its errors come here, to be said in the library's words.
@@ -85,6 +89,20 @@ def _together(arguments: list[str]) -> list[str]:
     return sorted(arguments, key=lambda argument: not assigns(argument))
 
 
+def _without_null(arguments: list[str], config: str) -> list[str]:
+    """Drop choices of ``null`` where that is the default: Hydra takes none on a command line."""
+    defaults = {choice.name: choice.value for choice in choices(command_of(config))}
+    kept = []
+    for argument in arguments:
+        name, _, option = argument.partition("=")
+        group = chooses(argument)
+        if group is None or option != _NULL or argument.startswith("~"):
+            kept.append(argument)
+        elif defaults.get(name) != _NULL:
+            fail(f"{argument}: {name} cannot be left out. Options of {group}: {', '.join(options(group))}.")
+    return kept
+
+
 def _robot_file(argument: str) -> str:
     """Rewrite ``robot=my.xml`` for Hydra: replace the name of the group's default robot by the file."""
     key, _, value = argument.partition("=")
@@ -110,6 +128,7 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
     @functools.wraps(task)
     def guarded(settings: DictConfig) -> object:
         try:
+            _check_overrides(settings, HydraConfig.get().overrides.task)
             return task(settings)
         except BrokenPipeError:
             _unread()
@@ -122,6 +141,28 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
             _refuse(MemoryError(str(error).splitlines()[0]), config)
 
     return guarded
+
+
+def _check_overrides(settings: DictConfig, overrides: Iterable[str]) -> None:
+    """Raise a :class:`.ConfigError` if an override does nothing, or fills a group of which no option was chosen."""
+    for override in map(str, overrides):
+        key, _, value = override.lstrip("+~").partition("=")
+        mapping = OmegaConf.select(settings, key, throw_on_missing=False) if re.fullmatch(r"[\w.]+", key) else None
+        if re.fullmatch(r"\{\s*\}", value) and isinstance(mapping, DictConfig) and len(mapping):
+            terms = all(isinstance(item, DictConfig) for item in mapping.values())
+            names = [str(name) for name in mapping if name != TARGET]
+            each = [f"{key}.{name}=null" if terms else f"'~{key}.{name}'" for name in names]
+            raise ConfigError(
+                f"{override} removes nothing, since it is merged with what is there. Leave out each: {' '.join(each)}"
+            )
+    for group in map(str, settings):
+        value = OmegaConf.select(settings, group, throw_on_missing=False)
+        if isinstance(value, DictConfig) and TARGET not in value and chooses(f"{group}="):
+            raise ConfigError(_unchosen(group))
+
+
+def _unchosen(group: str) -> str:
+    return f"{group} has no keys as it is: begin with {group}=..., which is one of {', '.join(options(group))}."
 
 
 def _refuse(error: Exception, config: str) -> NoReturn:
@@ -158,15 +199,18 @@ def _remove_empty(directory: Path) -> None:
 def explain(error: Exception, config: str) -> str:
     """Describe an error in a line or two; for an unknown key, name the nearest known one."""
     if isinstance(error, GCTD3Error):
-        return str(error)
+        return f"{error}{_replacing(str(error))}"
+    if isinstance(error, MarkedYAMLError):
+        mark = error.problem_mark
+        return f"{mark.name}, line {mark.line + 1}: {error.problem}." if mark else str(error)
     if isinstance(error, MemoryError):
         return f"Not enough memory ({error}): lower replay.buffer_size, env.num_envs or the number of episodes."
     # Hydra's counts as an OSError.
     if isinstance(error, MissingConfigException) and error.options:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
-        nearest, options = suggest(option, error.options), ", ".join(error.options)
+        close, accepted = suggest(option, error.options), ", ".join(error.options)
         needed = " It needs its package: pip install 'gctd3[sweep]'." if (group, option) == _JOBLIB else ""
-        return f"Could not find '{group}/{option}'.{needed or nearest} Options of {group}: {options}."
+        return f"Could not find '{group}/{option}'.{needed or close} Options of {group}: {accepted}."
     if isinstance(error, OSError):
         return f"{error.strerror}: {error.filename}" if error.filename else str(error)
     if isinstance(error, OverrideParseException):
@@ -178,18 +222,47 @@ def explain(error: Exception, config: str) -> str:
         return text
     key = unknown.group(1)
     parent = key.rpartition(".")[0]
+    if any(argument.startswith("resume=") for argument in sys.argv[1:]):
+        from gctd3.training.saved_configuration import HARMLESS  # late: it imports this module
+
+        return (
+            f"Unknown key {key!r}: a run that is continued keeps its robot, task and reward."
+            f"{nearest(key, dict.fromkeys(HARMLESS, ''))} May change: {', '.join(HARMLESS[:-1])}."
+        )
     keys = _known_keys(config, sys.argv[1:])
+    group = key.partition(".")[0]
+    if not any(known.startswith(f"{group}.") for known in keys) and group in keys and chooses(f"{group}="):
+        return f"Unknown key {key!r}: {_unchosen(group)}"
     siblings = [k for k in keys if k.rpartition(".")[0] == parent]
-    accepted = f" Accepted: {', '.join(siblings)}." if siblings else ""
+    accepted = f" Accepted: {', '.join(siblings)}." if siblings else f" {parent} has no keys." if parent in keys else ""
     if any(argument.startswith(f"{key}._target_=") for argument in sys.argv[1:]):
         return f"Unknown key {key!r}. To add it: +{key}._target_=...{accepted}"
-    return f"Unknown key {key!r}.{suggest(key, keys)}{accepted}"
+    return f"Unknown key {key!r}.{nearest(key, keys)}{accepted}"
+
+
+def _replacing(message: str) -> str:
+    """Return how to replace settings by those of another class, if that is what ``message`` comes from."""
+    for argument in sys.argv[1:]:
+        place = argument.partition(f".{TARGET}=")[0]
+        if f".{TARGET}=" in argument and not place.startswith("+") and f"Unknown key '{place}." in message:
+            _, _, target = argument.partition("=")
+            above = place.rpartition(".")[0]
+            return (
+                f" It was a key of the class before {target}: to replace {place}, leave it out and add yours by a new "
+                f"name, {place}=null +{above}.NAME.{TARGET}={target}"
+            )
+    return ""
 
 
 def chooses(argument: str) -> str | None:
     """Return the group of which an argument chooses an option; ``None`` for other arguments, which add no keys."""
     group = re.split("[=@]", argument.lstrip("+~"), maxsplit=1)[0]
     return group if group.isidentifier() and conf().joinpath(group).is_dir() else None
+
+
+def options(group: str) -> list[str]:
+    """List the options of a group that ship with gctd3."""
+    return sorted(file.stem for file in conf().joinpath(group).glob("*.yaml"))
 
 
 def ships(argument: str) -> bool:
@@ -209,8 +282,8 @@ def _elsewhere(arguments: list[str]) -> list[str]:
     return said[-1:]
 
 
-def _known_keys(config: str, arguments: list[str]) -> list[str]:
-    """List every key of the configuration, given those of the arguments that choose an option and are valid."""
+def _known_keys(config: str, arguments: list[str]) -> dict[str, str]:
+    """Return the meaning of every key, given those of the arguments that choose an option and are valid."""
     GlobalHydra.instance().clear()
     sound = _elsewhere(arguments)
     with initialize_config_module(CONF, version_base="1.3"):
@@ -220,14 +293,22 @@ def _known_keys(config: str, arguments: list[str]) -> list[str]:
                 composed = compose(config, [*sound, argument])
                 sound.append(argument)
 
-    def walk(node: DictConfig, prefix: str) -> list[str]:
-        found = []
+    def walk(node: DictConfig, prefix: str) -> dict[str, str]:
+        found, said = {}, _meanings(node)
         for key in map(str, node):
             value = OmegaConf.select(node, key, throw_on_missing=False)
-            if key != "_target_":
-                found.append(f"{prefix}{key}")
+            if key != TARGET:
+                found[f"{prefix}{key}"] = said.get(key, "")
             if isinstance(value, DictConfig):
-                found += walk(value, f"{prefix}{key}.")
+                found |= walk(value, f"{prefix}{key}.")
         return found
 
     return walk(composed, "")
+
+
+def _meanings(node: DictConfig) -> dict[str, str]:
+    """Return the meanings of the keys of settings; of a mapping that is none, or of a class not found, nothing."""
+    with contextlib.suppress(ImportError):
+        cls = find(str(node.get(TARGET, "")))
+        return meanings(cls) if is_settings(cls) else {}
+    return {}

@@ -73,7 +73,7 @@ WRONG = {
     "seed=[": ["seed=["],
     "seed=99999999999": ["seed must be", "below 2^32", "99999999999"],
     "+=[]": ["cannot be combined"],
-    "algo=null": ["cannot be combined"],
+    "algo=null": ["algo cannot be left out. Options of algo: ddpg, gctd3, sac, td3"],
     "evaluation.episodes=100000000000": ["evaluation.episodes must be at most 100,000"],
 }
 

@@ -3,10 +3,11 @@
 import pytest
 from compositions import STILL, env_of, walking
 from own_terms import Failing, FailingLater
-from running import command, tiny
+from running import command, tiny, train
 
 from gctd3.envs.factory import make_env
 from gctd3.errors import ConfigError, TermError
+from gctd3.runs.load import load_run
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.walk import WalkSettings
 
@@ -79,6 +80,29 @@ WRONG = {
     "+reward.terms.x._target_=own_terms.OnLegs": ["size must be a number, feet, joints or actions, got 'legs'"],
     # That it ends.
     "task.terminations.time_limit=null": ["task.terminations must hold a gctd3.TimeLimit", "got none"],
+    # How it is made.
+    "+reward.terms.x._target_=gctd3.tasks.terms.RewardTerm": ["reward.terms.x: _target_", "is abstract", "__call__"],
+    "+reward.terms.x._target_=own_terms.Listed +reward.terms.x.speeds=3": [
+        "reward.terms.x.speeds must be a list, got 3"
+    ],
+    "+reward.terms.x._target_=own_terms.Listed +reward.terms.x.by_name=[]": ["by_name must be a mapping, got ()"],
+    "+reward.terms.x._target_=own_terms.Listed +reward.terms.x.speeds=[3]": [
+        "reward.terms.x: own_terms.Listed cannot be made: ArithmeticError: no three"
+    ],
+    # How it is left out, or replaced.
+    "task.features={}": [
+        "task.features={} removes nothing",
+        "Leave out each: task.features.height=null task.fea",
+    ],
+    "task.terminations={}": ["task.terminations={} removes nothing", "task.terminations.time_limit=null"],
+    "reward.terms={}": ["reward.terms={} removes nothing", "reward.terms.swing=null"],
+    "stop_when.at_least={}": ["stop_when.at_least={} removes nothing", "'~stop_when.at_least.success_rate' "],
+    "reward=null": ["reward=null: reward cannot be left out. Options of reward: empty, paper, table3, walk."],
+    "task=null": ["task=null: task cannot be left out. Options of task: ant, ", "walk, "],
+    "reward.terms.fall._target_=gctd3.Living": [
+        "Unknown key 'reward.terms.fall.by'",
+        "leave it out and add yours by a new name, reward.terms.fall=null +reward.terms.NAME._target_=gctd3.Living",
+    ],
     # How it is added.
     "reward.terms.x._target_=gctd3.Living": ["Unknown key 'reward.terms.x'. To add it: +reward.terms.x._target_=..."],
     # Where it runs.
@@ -137,6 +161,38 @@ def test_what_is_no_composition_is_answered_from_python_too(make, said):
     with pytest.raises(ConfigError) as caught:
         make()
     assert str(caught.value).startswith(said)
+
+
+def test_a_term_is_replaced_by_another_class(tmp_path):
+    gone, new = "reward.terms.fall=null", "+reward.terms.mine._target_=own_terms.Listed"
+    assert command("train", *tiny(tmp_path / "run", gone, new, "+reward.terms.mine.speeds=[1,2]")) == 0
+    reward = load_run(tmp_path / "run").settings.reward
+    assert "fall" not in reward.terms and reward.terms["mine"].speeds == [1, 2]
+
+
+def test_a_key_that_a_yaml_says_twice_is_named(capfd, tmp_path):
+    (tmp_path / "reward").mkdir()
+    (tmp_path / "reward" / "twice.yaml").write_text("defaults: [paper, _self_]\nterms:\n  fall: null\n  fall: null\n")
+    assert command("train", f"--config-dir={tmp_path}", "reward=twice", *tiny(tmp_path / "run")) == 2
+    assert capfd.readouterr().err == f"error: {tmp_path}/reward/twice.yaml, line 4: found duplicate key fall.\n"
+
+
+def test_a_run_that_is_continued_keeps_its_terms(capfd, tmp_path):
+    run = train(tmp_path / "run", "+reward.terms.mine._target_=own_terms.Rising")
+    capfd.readouterr()
+    assert command("train", f"resume={run}", "reward.terms.mine.weight=5") == 2
+    error = capfd.readouterr().err
+    assert error.startswith("error: Unknown key 'reward.terms.mine': a run that is continued keeps its robot, task and")
+    assert "May change: logger, video, total_frames" in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("key", ["+reward.terms.x._target_=gctd3.Living", "reward.terms.fall.weight=3"])
+def test_a_reward_to_judge_under_is_chosen_before_it_is_changed(capfd, tmp_path, key):
+    assert command("evaluate", f"out={tmp_path}", key) == 2
+    error = capfd.readouterr().err
+    assert "reward has no keys as it is: begin with reward=..., which is one of empty, paper, table3, walk." in error
+    assert command("evaluate", f"out={tmp_path}", "reward=null", "episodes=0") == 2
+    assert "episodes must be at least 1" in capfd.readouterr().err
 
 
 def test_two_terms_may_remember_the_same_thing(tmp_path):
