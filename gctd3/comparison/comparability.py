@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 
 from gctd3.comparison.runs import Run
+from gctd3.config.build import again
 from gctd3.errors import RunError
 from gctd3.evaluation.settings import Judging
 from gctd3.runs.judge import EVALUATION, ROBUSTNESS
@@ -87,10 +88,10 @@ def check_judging(runs: Sequence[Run], judging: Judging) -> None:
     if new:
         names = ", ".join(run.name for run in new)
         lines.append(f"  not yet judged, now to be over {_said(*asked)}: {names}")
-    chosen = f"episodes={wanted[0]} seed={wanted[1]}"
-    remedies = [f"  python -m gctd3.evaluate run={run.directory} {chosen}" for run in others]
+    chosen = f"episodes={wanted[0]}", f"seed={wanted[1]}"
+    remedies = [f"  {again(run.config, 'evaluate', f'run={run.directory}', *chosen)}" for run in others]
     if unlike:
-        remedies.append(f"  the report's own command with {chosen}")
+        remedies.append(f"  the report's own command with {' '.join(chosen)}")
     raise RunError(
         "These runs were not judged over the same episodes, so their numbers cannot be compared:\n"
         + "\n".join([*lines, "What judges them alike:", *remedies])

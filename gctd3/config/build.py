@@ -9,10 +9,12 @@ from __future__ import annotations
 import inspect
 import math
 import os
+import shlex
 import sys
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from importlib.util import find_spec
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -27,7 +29,43 @@ OWN = "gctd3"
 MODULES = "GCTD3_MODULES"  # environment variable: packages besides that the configuration of a run may name, by commas
 
 
-def build(config: DictConfig | Mapping[str, Any], trusted: bool = True) -> Any:  # noqa: ANN401 - the target's
+def packages(config: Any) -> list[str]:  # noqa: ANN401 - any nesting
+    """List the packages besides gctd3 that the targets of a configuration name, in their order."""
+    found: dict[str, None] = {}
+    if OmegaConf.is_config(config):
+        config = OmegaConf.to_container(config)
+    if isinstance(config, Mapping):
+        for key, item in config.items():
+            # In a flat configuration it is the last part of a key.
+            if str(key).rpartition(".")[2] == TARGET and isinstance(item, str):
+                found |= dict.fromkeys([item.partition(".")[0]])
+            found |= dict.fromkeys(packages(item))
+    elif isinstance(config, (list, tuple)):
+        found |= dict.fromkeys(name for item in config for name in packages(item))
+    return [name for name in found if name != OWN]
+
+
+def again(config: Any, command: str, *arguments: str) -> str:  # noqa: ANN401
+    """Return the line for a shell that runs a command on a run, and lets it import what the run's terms are made of.
+
+    Args:
+        config: The run's configuration, or what holds it.
+        command: Name of the command.
+        arguments: Its arguments.
+    """
+    needed = packages(config)
+    around = [f"{MODULES}={','.join(needed)}"] if needed else []
+    # A shell may have been told of it for the one command only.
+    if needed and "PYTHONPATH" in os.environ:
+        around.insert(0, f"PYTHONPATH={shlex.quote(os.environ['PYTHONPATH'])}")
+    return " ".join([*around, f"python -m {OWN}.{command}", *map(shlex.quote, arguments)])
+
+
+def build(
+    config: DictConfig | Mapping[str, Any],
+    trusted: bool = True,
+    besides: Collection[str] = (),
+) -> Any:  # noqa: ANN401 - the target's
     """Build the settings of a configuration: call its targets, innermost first.
 
     Args:
@@ -35,6 +73,7 @@ def build(config: DictConfig | Mapping[str, Any], trusted: bool = True) -> Any: 
         trusted: Whether it may import any module, as the user's own command line may. The configuration of a run may be
             somebody else's: it may name only members of gctd3, of a package in ``GCTD3_MODULES``, or of a module
             that is imported already.
+        besides: Further packages that it may name: those of the user's own command line.
 
     Raises:
         ConfigError: If a key is unknown or missing, or a value has the wrong type or is out of range.
@@ -46,24 +85,37 @@ def build(config: DictConfig | Mapping[str, Any], trusted: bool = True) -> Any: 
         except MissingMandatoryValue as error:
             raise ConfigError(f"{error.full_key}=... is required; --help shows how.") from error
     if not trusted:
-        _check_modules(plain, "")
+        _check_modules(plain, {OWN, *_allowed(packages(plain)), *besides}, "")
     return _build(plain, "")
 
 
-def _check_modules(value: Any, path: str) -> None:  # noqa: ANN401
+def _allowed(needed: Collection[str]) -> list[str]:
+    """Return the packages that ``GCTD3_MODULES`` names.
+
+    Raises:
+        ConfigError: If one of them cannot be found.
+    """
+    names = [name.strip() for name in os.environ.get(MODULES, "").split(",") if name.strip()]
+    for name in names:
+        # Only looked for: what is named may never be needed.
+        if name not in sys.modules and not (name.isidentifier() and find_spec(name)):
+            raise ConfigError(f"{MODULES} must name packages, by commas; {name!r} is not found.{suggest(name, needed)}")
+    return names
+
+
+def _check_modules(value: Any, allowed: Collection[str], path: str) -> None:  # noqa: ANN401
     """Raise a :class:`.ConfigError` at the first target that would import a module that is not allowed."""
     if isinstance(value, list):
         for i, item in enumerate(value):
-            _check_modules(item, f"{path}[{i}]")
+            _check_modules(item, allowed, f"{path}[{i}]")
     if not isinstance(value, Mapping):
         return
     for key, item in value.items():
-        _check_modules(item, f"{path}.{key}".lstrip("."))
+        _check_modules(item, allowed, f"{path}.{key}".lstrip("."))
     target = value.get(TARGET)
     if not isinstance(target, str):
         return
     package, module = target.partition(".")[0], target.rpartition(".")[0]
-    allowed = {OWN, *(name.strip() for name in os.environ.get(MODULES, "").split(","))}
     if package not in allowed and module not in sys.modules:
         raise ConfigError(
             f"{path or 'the configuration'}: _target_ {target!r} is not gctd3's, and nothing else is imported for the "

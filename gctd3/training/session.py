@@ -11,7 +11,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from gctd3.config.build import build
+from gctd3.config.build import again, build, packages
 from gctd3.errors import RunError
 from gctd3.signals import StopRequest
 from gctd3.training.run_lock import only_one
@@ -47,11 +47,13 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     if resumed and not (run / CONFIG).is_file():
         raise RunError(f"resume={run}: there is no run to continue; a run has a {CONFIG}.")
     resumed = resumed or (sweeping and (run / CONFIG).is_file())
+    # What the command line itself names is the user's: a sweep that goes on names its terms again.
+    own = packages(config)
     if resumed:
         config, overrides = changed(run, "config", overrides)
     if stop.file is not None:
         share_cores(config)
-    settings = build(config, trusted=not resumed)
+    settings = build(config, trusted=not resumed, besides=own)
     settings.check_here()
     setup = settings.setup()
     # Imported late, so that --help and a wrong setting are answered at once.
@@ -78,9 +80,9 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
                 "stop_when.evaluations or stop_when.evaluations=null if its conditions ended it."
             )
         trainer.run(stop)
-        print(_summary(trainer.best, run, walks="film" in setup.task.abilities))
+        print(_summary(trainer.best, run, config, walks="film" in setup.task.abilities))
         if not trainer.finished:
-            print(f"Continue it:  python -m gctd3.train resume={run}")
+            print(f"Continue it:  {again(config, 'train', f'resume={run}')}")
     if stop.file is not None:
         print(f"{run}: {'stopped' if stop else 'done'}. {_said(trainer.best)}", flush=True)
     return trainer.best
@@ -105,10 +107,10 @@ def _value(best: dict[str, float] | None) -> float:
     return math.nan if best is None else best["return_mean"]
 
 
-def _summary(best: dict[str, float] | None, run: Path, walks: bool) -> str:
+def _summary(best: dict[str, float] | None, run: Path, config: DictConfig, walks: bool) -> str:
     """Return the best evaluation and how to look at the policy; only the walking task can be drawn."""
-    judge = f"\nJudge it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
-    judge += f"\nWatch it walk:  python -m gctd3.view run={run}" if walks else ""
+    judge = f"\nJudge it over 50 episodes:  {again(config, 'evaluate', f'run={run}', 'episodes=50')}"
+    judge += f"\nWatch it walk:  {again(config, 'view', f'run={run}')}" if walks else ""
     return f"\n{_said(best)}{judge if best is not None else ''}"
 
 
