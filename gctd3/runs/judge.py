@@ -114,16 +114,19 @@ def trace(episode: Episode, robot: Robot, dt: float) -> str:
 
 
 def table(report: dict[str, object]) -> str:
-    """Format the report as a table beside the paper's row."""
-    rows = [
-        ("episodes", "episodes", "{:.0f}", None),
-        ("return", "return_mean", "{:.1f}", "return_std"),
-        ("velocity, m/s", "velocity_mean", "{:.3f}", None),
-        ("distance, m", "distance_mean", "{:.2f}", None),
-        ("success rate", "success_rate", "{:.2f}", None),
-        ("body position, m from standing", "body_position_mean", "{:.4f}", None),
-    ]
-    lines = [f"{'':34}{'this policy':>18}{'paper, GCTD3':>18}"]
+    """Format the report as a table, of a walk beside the paper's row."""
+    rows = [("episodes", "episodes", "{:.0f}", None), ("return", "return_mean", "{:.1f}", "return_std")]
+    walk = "task" not in report
+    # The robot of a library's task may be fixed where it is.
+    if walk or report["distance_mean"]:
+        rows += [("velocity, m/s", "velocity_mean", "{:.3f}", None), ("distance, m", "distance_mean", "{:.2f}", None)]
+    if walk:
+        rows += [
+            ("success rate", "success_rate", "{:.2f}", None),
+            ("body position, m from standing", "body_position_mean", "{:.4f}", None),
+        ]
+    # The paper has nothing to say of a library's task.
+    lines = [f"{'':34}{'this policy':>18}" + (f"{'paper, GCTD3':>18}" if walk else "")]
 
     def cell(values: dict[str, object], key: str, form: str, spread: str | None) -> str:
         if key not in values:
@@ -131,11 +134,13 @@ def table(report: dict[str, object]) -> str:
         text = form.format(values[key])
         return f"{text} ± {form.format(values[spread])}" if spread else text
 
-    # The paper has nothing to say of a library's task.
-    paper: dict[str, object] = {} if "task" in report else {**PAPER, "episodes": 50}
+    paper: dict[str, object] = {**PAPER, "episodes": 50}
     for label, key, form, spread in rows:
-        lines.append(f"{label:34}{cell(report, key, form, spread):>18}{cell(paper, key, form, spread):>18}")
+        beside = f"{cell(paper, key, form, spread):>18}" if walk else ""
+        lines.append(f"{label:34}{cell(report, key, form, spread):>18}{beside}")
     gait = report["gait"]
+    if not walk and not gait:
+        return "\n".join(lines)
     if not isinstance(gait, dict) or not gait:
         return "\n".join([*lines, f"No episode got {LAST_METRES:.0f} m far, so there is no gait to measure."])
     lines += ["", f"Gait over the last {LAST_METRES:.0f} m of {gait['episodes']:.0f} episodes"]

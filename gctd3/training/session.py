@@ -63,6 +63,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
 
     if settings.video:
         check_film()
+    walks = "film" in setup.task.abilities
     with only_one(run), _output(run, stop):
         if not resumed:
             refuse_a_run(run)
@@ -80,11 +81,11 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
                 "stop_when.evaluations or stop_when.evaluations=null if its conditions ended it."
             )
         trainer.run(stop)
-        print(_summary(trainer.best, run, config, walks="film" in setup.task.abilities))
+        print(_summary(trainer.best, run, config, walks))
         if not trainer.finished:
             print(f"Continue it:  {again(config, 'train', f'resume={run}')}")
     if stop.file is not None:
-        print(f"{run}: {'stopped' if stop else 'done'}. {_said(trainer.best)}", flush=True)
+        print(f"{run}: {'stopped' if stop else 'done'}. {_said(trainer.best, walks)}", flush=True)
     return trainer.best
 
 
@@ -111,14 +112,19 @@ def _summary(best: dict[str, float] | None, run: Path, config: DictConfig, walks
     """Return the best evaluation and how to look at the policy; only the walking task can be drawn."""
     judge = f"\nJudge it over 50 episodes:  {again(config, 'evaluate', f'run={run}', 'episodes=50')}"
     judge += f"\nWatch it walk:  {again(config, 'view', f'run={run}')}" if walks else ""
-    return f"\n{_said(best)}{judge if best is not None else ''}"
+    return f"\n{_said(best, walks)}{judge if best is not None else ''}"
 
 
-def _said(best: dict[str, float] | None) -> str:
+def _said(best: dict[str, float] | None, walks: bool) -> str:
+    """Describe the best evaluation by the figures that the task has: a library's knows no success, and may not move."""
     if best is None:
         return "It has not been evaluated yet, so there is no policy to judge."
+    figures = [f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}"]
+    if walks:
+        figures.append(f"success {best['success_rate']:.0%}")
+    if walks or best["distance_mean"]:
+        figures.append(f"{best['distance_mean']:.1f} m at {best['velocity_mean']:.2f} m/s")
     return (
         f"Best evaluation, after {best['frames']:,.0f} steps and {best['wall_s'] / 60:.1f} minutes: "
-        f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}, success {best['success_rate']:.0%}, "
-        f"{best['distance_mean']:.1f} m at {best['velocity_mean']:.2f} m/s."
+        f"{', '.join(figures)}."
     )

@@ -294,7 +294,7 @@ class Trainer:
         shown = {
             "updates/s": f"{row['updates'] / max(row['wall_s'], 1e-9):.0f}",
             "return": f"{row['return_mean']:.0f}",
-            "success": f"{row['success_rate']:.0%}",
+            **({"success": f"{row['success_rate']:.0%}"} if "film" in self.setup.task.abilities else {}),
             "best": f"{best['return_mean']:.0f}",
         }
         return {**shown, "diverged": str(self.counters.diverged)} if self.counters.diverged else shown
