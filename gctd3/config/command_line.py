@@ -29,9 +29,10 @@ from gctd3.config.fields import TARGET, find, is_settings, meanings
 from gctd3.config.help import CONF, asks_for_help, check_installed, choices, command_of, conf, fail, help_of
 from gctd3.config.suggestions import nearest
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
+from gctd3.files import remove_empty
+from gctd3.signals import Interruption
 
-INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
-UNREAD = 141  # and of one whose output nobody reads
+UNREAD = 141  # what a shell reports of a program whose output nobody reads
 _NULL = "null"
 _JOBLIB = ("hydra/launcher", "joblib")  # an option only where the plugin is installed
 _WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException, YAMLError)
@@ -45,6 +46,19 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
         config: Name of the root YAML in ``conf/``.
         task: Function of the resolved configuration; its return value goes to Hydra's sweeper.
     """
+    heard = Interruption()
+    try:
+        with heard.listening():
+            _run(config, task)
+    except BaseException as error:
+        # An import that a signal broke off raises what it likes.
+        if heard.signal is None and not isinstance(error, KeyboardInterrupt):
+            raise
+        print("\nInterrupted.", file=sys.stderr)
+        raise SystemExit(heard.exit_code) from None
+
+
+def _run(config: str, task: Callable[[DictConfig], object]) -> None:
     check_installed()
     if asks_for_help():
         print(help_of(command_of(config)))
@@ -56,9 +70,6 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
         hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
-    except KeyboardInterrupt:
-        print("\nInterrupted.", file=sys.stderr)
-        raise SystemExit(INTERRUPTED) from None
     except BrokenPipeError:
         _unread()
     except _USER_ERRORS as error:
@@ -169,7 +180,8 @@ def _refuse(error: Exception, config: str) -> NoReturn:
     """Report an error and end the process; in a sweep end only the run, unless its settings are wrong."""
     hydra_config = HydraConfig.get()
     directory = Path(hydra_config.runtime.output_dir)
-    _remove_empty(directory)
+    # Hydra makes it for every run.
+    remove_empty(directory)
     said, sweeping = explain(error, config), hydra_config.mode is RunMode.MULTIRUN
     if sweeping and not isinstance(error, _WRONG_SETTINGS):
         # The sweep itself fails at its end.
@@ -185,15 +197,6 @@ def _unread() -> NoReturn:
     # Python writes what it still holds when it ends, and would complain.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     raise SystemExit(UNREAD)
-
-
-def _remove_empty(directory: Path) -> None:
-    """Remove the directory that Hydra makes for every run, and those above it in the working directory, while empty."""
-    while directory != Path.cwd() and directory.is_dir() and not any(directory.iterdir()):
-        directory.rmdir()
-        directory = directory.parent
-        if Path.cwd() not in directory.parents:
-            return
 
 
 def explain(error: Exception, config: str) -> str:

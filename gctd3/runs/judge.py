@@ -14,7 +14,7 @@ from gctd3.evaluation.episode import LAST_METRES, Episode
 from gctd3.evaluation.robustness import Examination
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize, why_missing
-from gctd3.files import new_file, write_text
+from gctd3.files import made, new_file, write_text
 from gctd3.robots.robot import Robot
 from gctd3.runs.settings import EvaluateSettings
 from gctd3.tasks.task import check_able
@@ -41,26 +41,25 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     if settings.robustness:
         check_able(run.setup.task, "robustness", run.directory)
     policy = run.policy()
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
     reward = settings.reward or run.settings.evaluation.reward
     task = run.setup.task.judged_by(reward)
     env = build_env(task, run.settings.env.judging(settings.episodes, settings.threads), settings.seed)
     walks, dt = "film" in task.abilities, task.control_dt
-    result = evaluate(policy, env, task, settings.seed, record=walks)
-    about: dict[str, object] = {"reward": reward.to_dict()} if walks else {"task": task.name}
-    report: dict[str, object] = {
-        **about,
-        **result.summary(),
-        "gait": {**result.gait(), **(summarize(result.episodes, task.robot, dt) if walks else {})},
-        "seeds": {"training": run.settings.seed, "evaluation": settings.seed},
-        "versions": versions(),
-    }
-    report = {key: _finite(value) for key, value in report.items()}
-    if folder is not None:
-        if walks:
-            write_text(folder / TRACE, trace(result.typical, task.robot, dt))
-        write_text(folder / EVALUATION, json.dumps(report, indent=2) + "\n")
+    with made(folder):
+        result = evaluate(policy, env, task, settings.seed, record=walks)
+        about: dict[str, object] = {"reward": reward.to_dict()} if walks else {"task": task.name}
+        report: dict[str, object] = {
+            **about,
+            **result.summary(),
+            "gait": {**result.gait(), **(summarize(result.episodes, task.robot, dt) if walks else {})},
+            "seeds": {"training": run.settings.seed, "evaluation": settings.seed},
+            "versions": versions(),
+        }
+        report = {key: _finite(value) for key, value in report.items()}
+        if folder is not None:
+            if walks:
+                write_text(folder / TRACE, trace(result.typical, task.robot, dt))
+            write_text(folder / EVALUATION, json.dumps(report, indent=2) + "\n")
     return report
 
 

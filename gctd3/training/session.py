@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
@@ -13,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from gctd3.config.build import again, build, packages
 from gctd3.errors import RunError
+from gctd3.files import remove_empty
 from gctd3.signals import StopRequest
 from gctd3.training.run_lock import only_one
 from gctd3.training.saved_configuration import CONFIG, changed, save_config
@@ -57,14 +59,21 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     settings.check_here()
     setup = settings.setup()
     # Imported late, so that --help and a wrong setting are answered at once.
+    from gctd3.training.checkpoint import FOLDER
     from gctd3.training.run_log import refuse_a_run
-    from gctd3.training.trainer import Trainer
+    from gctd3.training.trainer import POST_MORTEM, Trainer
     from gctd3.viz.film import check_film
 
     if settings.video:
         check_film()
     walks = "film" in setup.task.abilities
-    with only_one(run), _output(run, stop):
+    trainer: Trainer | None = None
+
+    def begun() -> bool:
+        left = [*(run / FOLDER).glob("*"), *run.glob(POST_MORTEM)]
+        return bool(left) or (trainer is not None and trainer.counters.frames > 0)
+
+    with _removed_unless(begun, run), only_one(run), _output(run, stop):
         if not resumed:
             refuse_a_run(run)
         trainer = Trainer(settings, run, {"config": OmegaConf.to_container(config, resolve=True)}, setup)
@@ -87,6 +96,23 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     if stop.file is not None:
         print(f"{run}: {'stopped' if stop else 'done'}. {_said(trainer.best, walks)}", flush=True)
     return trainer.best
+
+
+@contextlib.contextmanager
+def _removed_unless(begun: Callable[[], bool], run: Path) -> Iterator[None]:
+    """Remove the directory of a new run that fails before its training has begun: there is nothing to continue."""
+    new = not run.is_dir() or not any(run.iterdir())
+    try:
+        yield
+    except BaseException:
+        if new and not begun():
+            for item in run.iterdir():
+                if item.is_dir():
+                    shutil.rmtree(item)
+                else:
+                    item.unlink()
+            remove_empty(run)
+        raise
 
 
 @contextlib.contextmanager

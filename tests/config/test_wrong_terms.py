@@ -134,6 +134,20 @@ def test_a_term_that_fails_in_a_training_is_named(capfd, tmp_path):
     assert "of own_terms.py: OSError: [Errno 5] the sensor is gone" in error
 
 
+@pytest.mark.parametrize("logger", ["csv", "tensorboard"])
+def test_a_training_that_fails_before_its_first_step_leaves_nothing(capfd, tmp_path, monkeypatch, logger):
+    monkeypatch.chdir(tmp_path)
+    term = "+reward.terms.x._target_=own_terms.FailingAtOnce"
+    assert command("train", *tiny("runs/biped/one", term, f"logger={logger}", without=["logger"])) == 2
+    assert "error: reward.terms.x failed in line" in capfd.readouterr().err
+    assert not list(tmp_path.iterdir())
+    # What was there before stays.
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "notes.txt").touch()
+    assert command("train", *tiny("run", term)) == 2
+    assert (tmp_path / "run" / "notes.txt").is_file()
+
+
 def test_the_cause_of_a_term_that_fails_is_kept():
     with pytest.raises(ConfigError, match=r"reward.terms.x failed") as caught:
         walking(of=Reward({"x": Failing()}))
