@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from traceback import walk_tb
 from typing import NoReturn
@@ -39,17 +39,18 @@ _WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseExcepti
 _USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError, YAMLError)
 
 
-def command(config: str, task: Callable[[DictConfig], object]) -> None:
+def command(config: str, task: Callable[[DictConfig], object], may_change: Sequence[str] = ()) -> None:
     """Run ``task`` on the configuration that the command line asks for; exit with 2 after a message if it is wrong.
 
     Args:
         config: Name of the root YAML in ``conf/``.
         task: Function of the resolved configuration; its return value goes to Hydra's sweeper.
+        may_change: Keys that the command line may change, if it continues a run.
     """
     heard = Interruption()
     try:
         with heard.listening():
-            _run(config, task)
+            _run(config, task, may_change)
     except BaseException as error:
         # An import that a signal broke off raises what it likes.
         if heard.signal is None and not isinstance(error, KeyboardInterrupt):
@@ -58,7 +59,7 @@ def command(config: str, task: Callable[[DictConfig], object]) -> None:
         raise SystemExit(heard.exit_code) from None
 
 
-def _run(config: str, task: Callable[[DictConfig], object]) -> None:
+def _run(config: str, task: Callable[[DictConfig], object], may_change: Sequence[str]) -> None:
     check_installed()
     if asks_for_help():
         print(help_of(command_of(config)))
@@ -73,7 +74,7 @@ def _run(config: str, task: Callable[[DictConfig], object]) -> None:
     except BrokenPipeError:
         _unread()
     except _USER_ERRORS as error:
-        fail(explain(error, config))
+        fail(explain(error, config, may_change))
     except (AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         # Hydra's own, of a group given a value that is no option; a fault of the task itself keeps its traceback.
         if _raised_by_the_task(error):
@@ -199,8 +200,8 @@ def _unread() -> NoReturn:
     raise SystemExit(UNREAD)
 
 
-def explain(error: Exception, config: str) -> str:
-    """Describe an error in a line or two; for an unknown key, name the nearest known one."""
+def explain(error: Exception, config: str, may_change: Sequence[str] = ()) -> str:
+    """Describe an error in a line or two; for an unknown key, name the nearest known one; see :func:`command`."""
     if isinstance(error, GCTD3Error):
         return f"{error}{_replacing(str(error))}"
     if isinstance(error, MarkedYAMLError):
@@ -225,12 +226,10 @@ def explain(error: Exception, config: str) -> str:
         return text
     key = unknown.group(1)
     parent = key.rpartition(".")[0]
-    if any(argument.startswith("resume=") for argument in sys.argv[1:]):
-        from gctd3.training.saved_configuration import HARMLESS  # late: it imports this module
-
+    if may_change:
         return (
             f"Unknown key {key!r}: a run that is continued keeps its robot, task and reward."
-            f"{nearest(key, dict.fromkeys(HARMLESS, ''))} May change: {', '.join(HARMLESS[:-1])}."
+            f"{nearest(key, dict.fromkeys(may_change, ''))} May change: {', '.join(may_change)}."
         )
     keys = _known_keys(config, sys.argv[1:])
     group = key.partition(".")[0]
