@@ -121,6 +121,28 @@ def new_directory(path: Path) -> Iterator[Path]:
     _flush(path.parent)
 
 
+@contextmanager
+def made(path: Path | None) -> Iterator[None]:
+    """Make a directory, if any, and remove it if the block raises and it is empty."""
+    if path is not None:
+        path.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        if path is not None:
+            remove_empty(path)
+        raise
+
+
+def remove_empty(directory: Path) -> None:
+    """Remove a directory, and those above it in the working directory, while they are empty."""
+    while directory != Path.cwd() and directory.is_dir() and not any(directory.iterdir()):
+        directory.rmdir()
+        directory = directory.parent
+        if Path.cwd() not in directory.parents:
+            return
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically: it holds the old content or the new one, never a part of it."""
     write_bytes(path, text.encode())

@@ -8,14 +8,15 @@ from pathlib import Path
 
 from gctd3.config.command_line import command
 from gctd3.errors import RunError
-from gctd3.training.saved_configuration import CONFIG, choices
+from gctd3.training.saved_configuration import CONFIG, HARMLESS, choices
 from gctd3.training.session import train
 
 
 def main() -> None:
     """Run ``python -m gctd3.train``."""
     resumed = [argument.split("=", 1)[1] for argument in sys.argv[1:] if argument.startswith("resume=")]
-    if resumed and resumed[-1] not in ("null", ""):
+    going_on = bool(resumed) and resumed[-1] not in ("null", "")
+    if going_on:
         # Hydra writes to the run's directory, so that no other one is made; without a run it makes none.
         exists = (Path(resumed[-1]) / CONFIG).is_file()
         if exists:
@@ -23,7 +24,7 @@ def main() -> None:
             with contextlib.suppress(RunError):
                 sys.argv[1:1] = choices(Path(resumed[-1]), sys.argv[1:])
         sys.argv.append(f"hydra.run.dir='{resumed[-1] if exists else '.'}'")
-    command("config", train)
+    command("config", train, HARMLESS[:-1] if going_on else ())
 
 
 if __name__ == "__main__":

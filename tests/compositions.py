@@ -70,7 +70,7 @@ def env_of(task, seed=0, backend="batched", num_envs=4, threads=1, check=False):
 def library_task(library, name, feet=None, forward=None, **options):
     """Make a task of another library."""
     settings = LibrarySettings(library=library, name=name, **options)
-    return settings.build(RobotSettings(feet=feet, forward=forward), Reward())
+    return settings.build(RobotSettings(feet=feet, forward=forward))
 
 
 def library_env(library, name, num_envs=1, seed=0, **options):

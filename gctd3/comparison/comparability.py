@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 
 from gctd3.comparison.runs import Run
+from gctd3.config.build import again
 from gctd3.errors import RunError
 from gctd3.evaluation.settings import EpisodeSettings
 from gctd3.runs.evaluate import EVALUATION, ROBUSTNESS
@@ -91,10 +92,10 @@ def check_episodes(runs: Sequence[Run], settings: EpisodeSettings) -> None:
     if new:
         names = ", ".join(run.name for run in new)
         lines.append(f"  not yet evaluated, now to be over {_episodes_text(*asked)}: {names}")
-    chosen = f"episodes={wanted[0]} seed={wanted[1]}"
-    remedies = [f"  python -m gctd3.evaluate run={run.directory} {chosen}" for run in others]
+    chosen = f"episodes={wanted[0]}", f"seed={wanted[1]}"
+    remedies = [f"  {again(run.config, 'evaluate', f'run={run.directory}', *chosen)}" for run in others]
     if unlike:
-        remedies.append(f"  the report's own command with {chosen}")
+        remedies.append(f"  the report's own command with {' '.join(chosen)}")
     raise RunError(
         "These runs were not evaluated over the same episodes, so their numbers cannot be compared:\n"
         + "\n".join([*lines, "To evaluate them alike:", *remedies])

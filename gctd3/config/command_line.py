@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from traceback import walk_tb
 from typing import NoReturn
@@ -22,43 +22,59 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import MarkedYAMLError, YAMLError
 
 from gctd3.compat import own_launcher
-from gctd3.config.help import CONF, asks_for_help, check_installed, command_of, conf, fail, help_of
+from gctd3.config.fields import TARGET, find, is_settings, meanings
+from gctd3.config.help import CONF, asks_for_help, check_installed, choices, command_of, conf, fail, help_of
+from gctd3.config.suggestions import nearest
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
+from gctd3.files import remove_empty
+from gctd3.signals import Interruption
 
-INTERRUPTED = 130  # exit code that shells report for a program ended by Ctrl-C
 UNREAD = 141  # exit code that shells report for a program whose output nobody reads
+_NULL = "null"
 _JOBLIB = ("hydra/launcher", "joblib")  # an option only where the plugin is installed
-_WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException)
-_USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError)
+_WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException, YAMLError)
+_USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError, YAMLError)
 
 
-def command(config: str, task: Callable[[DictConfig], object]) -> None:
+def command(config: str, task: Callable[[DictConfig], object], may_change: Sequence[str] = ()) -> None:
     """Run ``task`` on the configuration that the command line asks for; exit with 2 after a message if it is wrong.
 
     Args:
         config: Name of the root YAML in ``conf/``.
         task: Function of the resolved configuration; its return value goes to Hydra's sweeper.
+        may_change: Keys that the command line may change, if it continues a run.
     """
+    heard = Interruption()
+    try:
+        with heard.listening():
+            _run(config, task, may_change)
+    except BaseException as error:
+        # An import that a signal broke off raises what it likes.
+        if heard.signal is None and not isinstance(error, KeyboardInterrupt):
+            raise
+        print("\nInterrupted.", file=sys.stderr)
+        raise SystemExit(heard.exit_code) from None
+
+
+def _run(config: str, task: Callable[[DictConfig], object], may_change: Sequence[str]) -> None:
     check_installed()
     if asks_for_help():
         print(help_of(command_of(config)))
         return
-    sys.argv[1:] = map(_robot_file, _together(sys.argv[1:]))
+    sys.argv[1:] = map(_robot_file, _together(_without_null(sys.argv[1:], config)))
     # A launcher's plug-in has settings of the same name as ours in conf/, on purpose.
     warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/", category=UserWarning)
     # Makes Hydra raise its errors, which are reported below in the library's words, instead of printing and exiting.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
         hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
-    except KeyboardInterrupt:
-        print("\nInterrupted.", file=sys.stderr)
-        raise SystemExit(INTERRUPTED) from None
     except BrokenPipeError:
         _unread()
     except _USER_ERRORS as error:
-        fail(explain(error, config))
+        fail(explain(error, config, may_change))
     except (AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         # Hydra raises these for a value that is not an option of its group; the task's own errors keep their traceback.
         if _raised_by_the_task(error):
@@ -83,6 +99,20 @@ def _together(arguments: list[str]) -> list[str]:
         return not argument.startswith("-") and ("=" in argument or argument.startswith("~"))
 
     return sorted(arguments, key=lambda argument: not assigns(argument))
+
+
+def _without_null(arguments: list[str], config: str) -> list[str]:
+    """Drop choices of ``null`` where that is the default: Hydra takes none on a command line."""
+    defaults = {choice.name: choice.value for choice in choices(command_of(config))}
+    kept = []
+    for argument in arguments:
+        name, _, option = argument.partition("=")
+        group = chooses(argument)
+        if group is None or option != _NULL or argument.startswith("~"):
+            kept.append(argument)
+        elif defaults.get(name) != _NULL:
+            fail(f"{argument}: {name} cannot be left out. Options of {group}: {', '.join(options(group))}.")
+    return kept
 
 
 def _robot_file(argument: str) -> str:
@@ -110,6 +140,7 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
     @functools.wraps(task)
     def guarded(settings: DictConfig) -> object:
         try:
+            _check_overrides(settings, HydraConfig.get().overrides.task)
             return task(settings)
         except BrokenPipeError:
             _unread()
@@ -124,11 +155,34 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
     return guarded
 
 
+def _check_overrides(settings: DictConfig, overrides: Iterable[str]) -> None:
+    """Raise a :class:`.ConfigError` if an override does nothing, or fills a group of which no option was chosen."""
+    for override in map(str, overrides):
+        key, _, value = override.lstrip("+~").partition("=")
+        mapping = OmegaConf.select(settings, key, throw_on_missing=False) if re.fullmatch(r"[\w.]+", key) else None
+        if re.fullmatch(r"\{\s*\}", value) and isinstance(mapping, DictConfig) and len(mapping):
+            terms = all(isinstance(item, DictConfig) for item in mapping.values())
+            names = [str(name) for name in mapping if name != TARGET]
+            each = [f"{key}.{name}=null" if terms else f"'~{key}.{name}'" for name in names]
+            raise ConfigError(
+                f"{override} removes nothing, since it is merged with what is there. Leave out each: {' '.join(each)}"
+            )
+    for group in map(str, settings):
+        value = OmegaConf.select(settings, group, throw_on_missing=False)
+        if isinstance(value, DictConfig) and TARGET not in value and chooses(f"{group}="):
+            raise ConfigError(_unchosen(group))
+
+
+def _unchosen(group: str) -> str:
+    return f"{group} has no keys as it is: begin with {group}=..., which is one of {', '.join(options(group))}."
+
+
 def _refuse(error: Exception, config: str) -> NoReturn:
     """Report an error and end the process; in a sweep end only the run, unless its settings are wrong."""
     hydra_config = HydraConfig.get()
     directory = Path(hydra_config.runtime.output_dir)
-    _remove_empty(directory)
+    # Hydra makes it for every run.
+    remove_empty(directory)
     message, sweeping = explain(error, config), hydra_config.mode is RunMode.MULTIRUN
     if sweeping and not isinstance(error, _WRONG_SETTINGS):
         # The sweep continues with its other runs, and fails at its end.
@@ -146,27 +200,21 @@ def _unread() -> NoReturn:
     raise SystemExit(UNREAD)
 
 
-def _remove_empty(directory: Path) -> None:
-    """Remove the directory that Hydra makes for every run, and those above it in the working directory, while empty."""
-    while directory != Path.cwd() and directory.is_dir() and not any(directory.iterdir()):
-        directory.rmdir()
-        directory = directory.parent
-        if Path.cwd() not in directory.parents:
-            return
-
-
-def explain(error: Exception, config: str) -> str:
-    """Describe an error in a line or two; for an unknown key, name the nearest known one."""
+def explain(error: Exception, config: str, may_change: Sequence[str] = ()) -> str:
+    """Describe an error in a line or two; for an unknown key, name the nearest known one; see :func:`command`."""
     if isinstance(error, GCTD3Error):
-        return str(error)
+        return f"{error}{_replacing(str(error))}"
+    if isinstance(error, MarkedYAMLError):
+        mark = error.problem_mark
+        return f"{mark.name}, line {mark.line + 1}: {error.problem}." if mark else str(error)
     if isinstance(error, MemoryError):
         return f"Not enough memory ({error}): lower replay.buffer_size, env.num_envs or the number of episodes."
     # Hydra's counts as an OSError.
     if isinstance(error, MissingConfigException) and error.options:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
-        nearest, options = suggest(option, error.options), ", ".join(error.options)
+        close, accepted = suggest(option, error.options), ", ".join(error.options)
         needed = " It needs its package: pip install 'gctd3[sweep]'." if (group, option) == _JOBLIB else ""
-        return f"Could not find '{group}/{option}'.{needed or nearest} Options of {group}: {options}."
+        return f"Could not find '{group}/{option}'.{needed or close} Options of {group}: {accepted}."
     if isinstance(error, OSError):
         return f"{error.strerror}: {error.filename}" if error.filename else str(error)
     if isinstance(error, OverrideParseException):
@@ -178,18 +226,45 @@ def explain(error: Exception, config: str) -> str:
         return text
     key = unknown.group(1)
     parent = key.rpartition(".")[0]
+    if may_change:
+        return (
+            f"Unknown key {key!r}: a run that is continued keeps its robot, task and reward."
+            f"{nearest(key, dict.fromkeys(may_change, ''))} May change: {', '.join(may_change)}."
+        )
     keys = _known_keys(config, sys.argv[1:])
+    group = key.partition(".")[0]
+    if not any(known.startswith(f"{group}.") for known in keys) and group in keys and chooses(f"{group}="):
+        return f"Unknown key {key!r}: {_unchosen(group)}"
     siblings = [k for k in keys if k.rpartition(".")[0] == parent]
-    accepted = f" Accepted: {', '.join(siblings)}." if siblings else ""
+    accepted = f" Accepted: {', '.join(siblings)}." if siblings else f" {parent} has no keys." if parent in keys else ""
     if any(argument.startswith(f"{key}._target_=") for argument in sys.argv[1:]):
         return f"Unknown key {key!r}. To add it: +{key}._target_=...{accepted}"
-    return f"Unknown key {key!r}.{suggest(key, keys)}{accepted}"
+    return f"Unknown key {key!r}.{nearest(key, keys)}{accepted}"
+
+
+def _replacing(message: str) -> str:
+    """Return how to replace settings by those of another class, if that is what ``message`` comes from."""
+    for argument in sys.argv[1:]:
+        place = argument.partition(f".{TARGET}=")[0]
+        if f".{TARGET}=" in argument and not place.startswith("+") and f"Unknown key '{place}." in message:
+            _, _, target = argument.partition("=")
+            above = place.rpartition(".")[0]
+            return (
+                f" It was a key of the class before {target}: to replace {place}, leave it out and add yours by a new "
+                f"name, {place}=null +{above}.NAME.{TARGET}={target}"
+            )
+    return ""
 
 
 def chooses(argument: str) -> str | None:
     """Return the group of which an argument chooses an option; ``None`` for other arguments, which add no keys."""
     group = re.split("[=@]", argument.lstrip("+~"), maxsplit=1)[0]
     return group if group.isidentifier() and conf().joinpath(group).is_dir() else None
+
+
+def options(group: str) -> list[str]:
+    """List the options of a group that ship with gctd3."""
+    return sorted(file.stem for file in conf().joinpath(group).glob("*.yaml"))
 
 
 def ships(argument: str) -> bool:
@@ -209,8 +284,8 @@ def _elsewhere(arguments: list[str]) -> list[str]:
     return overrides[-1:]
 
 
-def _known_keys(config: str, arguments: list[str]) -> list[str]:
-    """List every key of the configuration, given those of the arguments that choose an option and are valid."""
+def _known_keys(config: str, arguments: list[str]) -> dict[str, str]:
+    """Return the meaning of every key, given those of the arguments that choose an option and are valid."""
     GlobalHydra.instance().clear()
     sound = _elsewhere(arguments)
     with initialize_config_module(CONF, version_base="1.3"):
@@ -220,14 +295,22 @@ def _known_keys(config: str, arguments: list[str]) -> list[str]:
                 composed = compose(config, [*sound, argument])
                 sound.append(argument)
 
-    def walk(node: DictConfig, prefix: str) -> list[str]:
-        known = []
+    def walk(node: DictConfig, prefix: str) -> dict[str, str]:
+        known, described = {}, _meanings(node)
         for key in map(str, node):
             value = OmegaConf.select(node, key, throw_on_missing=False)
-            if key != "_target_":
-                known.append(f"{prefix}{key}")
+            if key != TARGET:
+                known[f"{prefix}{key}"] = described.get(key, "")
             if isinstance(value, DictConfig):
-                known += walk(value, f"{prefix}{key}.")
+                known |= walk(value, f"{prefix}{key}.")
         return known
 
     return walk(composed, "")
+
+
+def _meanings(node: DictConfig) -> dict[str, str]:
+    """Return the meanings of the keys of settings; of a mapping that is none, or of a class not found, nothing."""
+    with contextlib.suppress(ImportError):
+        cls = find(str(node.get(TARGET, "")))
+        return meanings(cls) if is_settings(cls) else {}
+    return {}

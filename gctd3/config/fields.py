@@ -137,9 +137,10 @@ def describe(hint: Any) -> str:  # noqa: ANN401
         return "one of " + ", ".join(map(str, inner))
     if hint in (None, type(None)):
         return "null"
-    if origin is not None and issubclass(origin, Mapping):
-        return "a mapping" if inner[1] is Any else f"a mapping to {describe(inner[1])}"
-    if origin is not None and issubclass(origin, Sequence):
-        return f"a list of {describe(inner[0])}"
+    kind = origin or hint
+    if issubclass(kind, Mapping):
+        return "a mapping" if not inner or inner[1] is Any else f"a mapping to {describe(inner[1])}"
+    if issubclass(kind, Sequence) and kind is not str:
+        return f"a list of {describe(inner[0])}" if inner and inner[0] is not Any else "a list"
     names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
     return names.get(hint, f"a {getattr(hint, '__name__', hint)} (a mapping with its _target_)")

@@ -24,7 +24,7 @@ class ExplorationSettings:
     Attributes:
         warmup: ``rhythmic``: a sine for every joint, left and right half a period apart (:class:`.Rhythm`);
             ``uniform``: random actions, each held for a while.
-        learning_starts: Frames of all robots together before the policy acts.
+        learning_starts: Frames of the warm-up, of all robots together, before the policy acts.
         hold: Control steps for which warmup=uniform holds an action.
         frequency: Lowest and highest frequency of warmup=rhythmic (Hz).
         mutation_share: Share of warmup=rhythmic's gaits that are mutations of those that got farthest before; the rest
@@ -86,7 +86,7 @@ class ReplaySettings:
     """Hold the settings of the replay: how transitions are stored and drawn.
 
     Attributes:
-        buffer_size: Transitions kept; the oldest leave first.
+        buffer_size: Capacity (transitions); the oldest leave first.
         batch_size: Transitions drawn for an update.
         n_step: Rewards summed before the bootstrap (Sutton 1988).
         mirror: Reflect half of every batch in the robot's sagittal plane.

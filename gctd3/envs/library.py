@@ -13,7 +13,7 @@ from torchrl.envs import DMControlEnv, EnvBase, GymEnv
 from gctd3.compat import replace_wrapped_env, wrapped_env
 from gctd3.envs.library_robots import LibraryRobots, observed
 from gctd3.envs.nodes import STATIC, NodeSensor, simulator
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, check_kind
 from gctd3.robots.floating_base import Axis
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
@@ -77,7 +77,17 @@ class LibraryTask:
         return Reflection.from_robot(self.robot)
 
     def with_reward(self, reward: Reward) -> LibraryTask:
-        """Return the task as it is: it brings its own reward."""
+        """Return the task as it is: it brings its own reward.
+
+        Raises:
+            ConfigError: If the reward has terms, which would be ignored.
+        """
+        check_kind("reward", reward, Reward)
+        if reward.terms:
+            raise ConfigError(
+                f"reward.terms must be empty for {self.name}, which brings its own reward, got "
+                f"{', '.join(reward.terms)}: leave out reward=... and reward.terms...=..."
+            )
         return self
 
     def env(self, num_envs: int, seed: int) -> LibraryRobots:

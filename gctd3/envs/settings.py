@@ -73,11 +73,11 @@ class LibrarySettings(TaskSettings):
         if self.static and self.observation == "flat":
             raise ConfigError("static must be false for observation=flat, which has no nodes to describe, got true.")
 
-    def build(self, robot: RobotSettings, reward: Reward) -> Task:
+    def build(self, robot: RobotSettings, reward: Reward | None = None) -> Task:
         """Build the task, its robot and its graph; the reward is the library's.
 
         Raises:
-            ConfigError: If there is no such task, or its robot does not fit, or another robot is asked for.
+            ConfigError: If there is no such task, or its robot does not fit, or another robot or reward is asked for.
             RobotError: If it has no such feet.
         """
         if robot.name != RobotSettings.name:
@@ -87,4 +87,5 @@ class LibrarySettings(TaskSettings):
             )
         from gctd3.envs.library import LibraryTask
 
-        return LibraryTask(self.library, self.name, robot, self.history, self.observation, self.static)
+        task = LibraryTask(self.library, self.name, robot, self.history, self.observation, self.static)
+        return task if reward is None else task.with_reward(reward)

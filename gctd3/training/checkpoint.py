@@ -19,6 +19,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 import gctd3
+from gctd3.config.build import again
 from gctd3.data.frame_buffer import FrameBuffer
 from gctd3.errors import RunError
 from gctd3.files import (
@@ -183,7 +184,7 @@ class Checkpoints:
         except OSError as error:
             raise RunError(
                 f"Cannot write a checkpoint to {self.directory}: {error.strerror or error}. Earlier checkpoints are "
-                f"whole; once there is room again:  python -m gctd3.train resume={self.run}"
+                f"whole; once there is room again:  {again(self.about, 'train', f'resume={self.run}')}"
             ) from error
 
     def _refuse_other_formats(self) -> None:

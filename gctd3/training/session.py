@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from gctd3.config.build import build
+from gctd3.config.build import again, build, packages
 from gctd3.errors import RunError
+from gctd3.files import remove_empty
 from gctd3.signals import StopRequest
 from gctd3.training.run_lock import only_one
 from gctd3.training.saved_configuration import CONFIG, changed, save_config
@@ -47,21 +49,31 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     if resumed and not (run / CONFIG).is_file():
         raise RunError(f"resume={run}: there is no run to continue; a run has a {CONFIG}.")
     resumed = resumed or (sweeping and (run / CONFIG).is_file())
+    # What the command line itself names is the user's: a sweep that goes on names its terms again.
+    own = packages(config)
     if resumed:
         config, overrides = changed(run, "config", overrides)
     if stop.file is not None:
         share_cores(config)
-    settings = build(config, trusted=not resumed)
+    settings = build(config, trusted=not resumed, besides=own)
     settings.check_here()
     setup = settings.setup()
     # Imported late, so that --help and a wrong setting are answered at once.
+    from gctd3.training.checkpoint import FOLDER
     from gctd3.training.run_log import refuse_a_run
-    from gctd3.training.trainer import Trainer
+    from gctd3.training.trainer import POST_MORTEM, Trainer
     from gctd3.viz.film import check_film
 
     if settings.video:
         check_film()
-    with only_one(run), _output(run, stop):
+    walks = "film" in setup.task.abilities
+    trainer: Trainer | None = None
+
+    def begun() -> bool:
+        left = [*(run / FOLDER).glob("*"), *run.glob(POST_MORTEM)]
+        return bool(left) or (trainer is not None and trainer.counters.frames > 0)
+
+    with _removed_unless(begun, run), only_one(run), _output(run, stop):
         if not resumed:
             refuse_a_run(run)
         trainer = Trainer(settings, run, {"config": OmegaConf.to_container(config, resolve=True)}, setup)
@@ -78,12 +90,29 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
                 "stop_when.evaluations or stop_when.evaluations=null if its conditions ended it."
             )
         trainer.run(stop)
-        print(_summary(trainer.best, run, walks="film" in setup.task.abilities))
+        print(_summary(trainer.best, run, config, walks))
         if not trainer.finished:
-            print(f"Continue it:  python -m gctd3.train resume={run}")
+            print(f"Continue it:  {again(config, 'train', f'resume={run}')}")
     if stop.file is not None:
-        print(f"{run}: {'stopped' if stop else 'done'}. {_best_text(trainer.best)}", flush=True)
+        print(f"{run}: {'stopped' if stop else 'done'}. {_best_text(trainer.best, walks)}", flush=True)
     return trainer.best
+
+
+@contextlib.contextmanager
+def _removed_unless(begun: Callable[[], bool], run: Path) -> Iterator[None]:
+    """Remove the directory of a new run that fails before its training has begun: there is nothing to continue."""
+    new = not run.is_dir() or not any(run.iterdir())
+    try:
+        yield
+    except BaseException:
+        if new and not begun():
+            for item in run.iterdir():
+                if item.is_dir():
+                    shutil.rmtree(item)
+                else:
+                    item.unlink()
+            remove_empty(run)
+        raise
 
 
 @contextlib.contextmanager
@@ -105,18 +134,23 @@ def _value(best: dict[str, float] | None) -> float:
     return math.nan if best is None else best["return_mean"]
 
 
-def _summary(best: dict[str, float] | None, run: Path, walks: bool) -> str:
+def _summary(best: dict[str, float] | None, run: Path, config: DictConfig, walks: bool) -> str:
     """Return the best evaluation and how to look at the policy; only the walking task can be drawn."""
-    advice = f"\nEvaluate it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
-    advice += f"\nWatch it walk:  python -m gctd3.view run={run}" if walks else ""
-    return f"\n{_best_text(best)}{advice if best is not None else ''}"
+    advice = f"\nEvaluate it over 50 episodes:  {again(config, 'evaluate', f'run={run}', 'episodes=50')}"
+    advice += f"\nWatch it walk:  {again(config, 'view', f'run={run}')}" if walks else ""
+    return f"\n{_best_text(best, walks)}{advice if best is not None else ''}"
 
 
-def _best_text(best: dict[str, float] | None) -> str:
+def _best_text(best: dict[str, float] | None, walks: bool) -> str:
+    """Describe the best evaluation by its task's figures: a library's has no success rate, its robot may be fixed."""
     if best is None:
         return "It has not been evaluated yet, so it has no best policy."
+    figures = [f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}"]
+    if walks:
+        figures.append(f"success {best['success_rate']:.0%}")
+    if walks or best["distance_mean"]:
+        figures.append(f"{best['distance_mean']:.1f} m at {best['velocity_mean']:.2f} m/s")
     return (
         f"Best evaluation, after {best['frames']:,.0f} steps and {best['wall_s'] / 60:.1f} minutes: "
-        f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}, success {best['success_rate']:.0%}, "
-        f"{best['distance_mean']:.1f} m at {best['velocity_mean']:.2f} m/s."
+        f"{', '.join(figures)}."
     )

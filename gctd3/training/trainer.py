@@ -18,6 +18,8 @@ from torchrl import torchrl_logger
 from tqdm import tqdm
 
 from gctd3.algorithms.base import Algorithm
+from gctd3.config.build import again
+from gctd3.config.fields import in_yaml
 from gctd3.data.build_collector import build_collector
 from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
@@ -138,7 +140,8 @@ class Trainer:
                         self.save()
             except WorkerError as error:
                 self.save()
-                raise WorkerError(f"{error}. Continue it:  python -m gctd3.train resume={self.directory}") from error
+                command = again(in_yaml(self.settings), "train", f"resume={self.directory}")
+                raise WorkerError(f"{error}. Continue it:  {command}") from error
             self.save()
         self.evaluation_env.close(raise_if_closed=False)
         return self.best
@@ -293,7 +296,7 @@ class Trainer:
         shown = {
             "updates/s": f"{row['updates'] / max(row['wall_s'], 1e-9):.0f}",
             "return": f"{row['return_mean']:.0f}",
-            "success": f"{row['success_rate']:.0%}",
+            **({"success": f"{row['success_rate']:.0%}"} if "film" in self.setup.task.abilities else {}),
             "best": f"{best['return_mean']:.0f}",
         }
         return {**shown, "diverged": str(self.counters.diverged)} if self.counters.diverged else shown

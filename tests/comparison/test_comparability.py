@@ -113,7 +113,7 @@ def test_what_is_evaluated_now_has_to_be_evaluated_as_the_rest_was(finished, tmp
     assert command("report", "runs=runs", "out=out", "episodes=2", "seed=5") == 2
     remedy = re.search(r"python -m gctd3\.evaluate (run=\S+ episodes=\d+ seed=\d+)", capsys.readouterr().err)[1]
     assert command("evaluate", *remedy.split(), "threads=1") == 0
-    check_judging(find_runs(tmp_path / "runs"), Judging(episodes=2, seed=5))
+    check_episodes(find_runs(tmp_path / "runs"), EpisodeSettings(episodes=2, seed=5))
 
 
 def test_table5_says_over_how_many_episodes(tmp_path, robot):

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -73,7 +74,7 @@ WRONG = {
     "seed=[": ["seed=["],
     "seed=99999999999": ["seed must be", "below 2^32", "99999999999"],
     "+=[]": ["cannot be combined"],
-    "algo=null": ["cannot be combined"],
+    "algo=null": ["algo cannot be left out. Options of algo: ddpg, gctd3, sac, td3"],
     "evaluation.episodes=100000000000": ["evaluation.episodes must be at most 100,000"],
 }
 
@@ -106,6 +107,31 @@ def test_ctrl_c_ends_a_command_with_a_line(capsys, monkeypatch):
     monkeypatch.setattr("gctd3.robots.robot.Robot.from_mjcf", interrupted)
     assert command("graph", "robot=biped") == 130
     assert capsys.readouterr().err == "\nInterrupted.\n"
+
+
+@pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_an_evaluation_with_a_line_and_leaves_nothing(capsys, monkeypatch, tmp_path, number, code):
+    before = signal.getsignal(number)
+    for where in ("gctd3.runs.evaluate.evaluate", "gctd3.runs.evaluate.summarize"):
+        with monkeypatch.context() as patch:
+            patch.setattr(where, lambda *arguments, **named: signal.raise_signal(number))
+            assert command("evaluate", f"out={tmp_path / 'evaluated'}", "episodes=1", "threads=1") == code
+        assert capsys.readouterr().err == "\nInterrupted.\n"
+        assert not list(tmp_path.iterdir())
+    assert signal.getsignal(number) is before
+
+
+def test_an_import_that_a_signal_breaks_off_is_no_missing_package(capsys, monkeypatch):
+    def broken(*arguments, **named):
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt:
+            raise ImportError("numpy is broken") from None
+
+    monkeypatch.setattr("gctd3.robots.robot.Robot.from_mjcf", broken)
+    assert command("graph", "robot=biped") == 143
+    error = capsys.readouterr().err
+    assert error.endswith("\nInterrupted.\n") and "numpy" not in error
 
 
 def test_output_that_nobody_reads_is_no_error():

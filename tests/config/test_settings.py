@@ -52,7 +52,7 @@ def test_an_empty_reward_is_there_to_be_filled():
     settings = build(composed("reward=empty", "+reward.terms.alive._target_=gctd3.Living"))
     assert list(settings.reward.terms) == ["alive"]
     with pytest.raises(ConfigError, match=r"reward.terms must hold at least one term, got none"):
-        build(composed("reward=empty"))
+        build(composed("reward=empty")).setup()
 
 
 @pytest.mark.parametrize("option", [option for group, option in OPTIONS if group == "reward" and option != "empty"])
@@ -89,6 +89,7 @@ def test_a_librarys_task_brings_what_goes_with_it(task):
     assert (settings.env.backend, settings.env.num_envs) == ("library", 8)
     assert settings.exploration.warmup == "uniform" and not settings.replay.mirror
     assert settings.stop_when.evaluations is None
+    assert not settings.reward.terms and not settings.evaluation.reward.terms
     # The command line overrides the task's own settings.
     assert build(composed(f"task={task}", "env.num_envs=3")).env.num_envs == 3
 

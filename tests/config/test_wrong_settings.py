@@ -6,6 +6,7 @@ import re
 import pytest
 from configs import composed, edited, items
 from hydra import compose, initialize_config_module
+from running import command, tiny
 
 from gctd3.config.build import build, suggest
 from gctd3.errors import ConfigError
@@ -156,3 +157,25 @@ def test_a_mandatory_value_that_was_not_given_is_named():
 def test_a_target_that_is_none(default, target):
     message = fails(edited(default, "task.randomisations.joint_noise._target_", target))
     assert message.startswith("task.randomisations.joint_noise") and "_target_" in message and repr(target) in message
+
+
+@pytest.mark.parametrize(
+    "key, near",
+    [
+        ("updates", "gradient_steps"),
+        ("steps", "rollout_steps"),
+        ("warmup_frames", "exploration.learning_starts"),
+        ("replay.capacity", "replay.buffer_size"),
+        ("learning_rate", "algo.learning_rate"),
+        ("algo.learning_rat", "algo.learning_rate"),
+        ("algo.discount", "algo.gamma"),
+        ("reward.terms.fal", "reward.terms.fall"),
+        ("exploration.zzz", None),
+    ],
+)
+def test_an_unknown_key_of_a_command_line_is_answered_with_the_nearest_by_meaning(capsys, tmp_path, key, near):
+    assert command("train", *tiny(tmp_path / "run", f"{key}=3")) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: Unknown key {key!r}.{f' Did you mean {near!r}?' if near else ''} Accepted: "), (
+        error
+    )

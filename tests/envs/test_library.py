@@ -17,6 +17,7 @@ from gctd3.envs.factory import build_env
 from gctd3.envs.nodes import STATIC, NodeSensor
 from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError
+from gctd3.runs.evaluate import table
 from gctd3.runs.load import load_run
 from gctd3.training.saved_configuration import load_settings
 
@@ -41,16 +42,28 @@ def test_trains_and_evaluates(tmp_path, task, nodes, actions, capsys):
     assert load_settings(run).stop_when.evaluations is None
     policy = gctd3.load_policy(run)
     assert policy(TensorDict({"nodes": torch.randn(3, nodes, 4)}, [3]))["action"].shape == (3, actions)
+    trained = capsys.readouterr().out
     assert command("evaluate", f"run={run}", "episodes=1") == 0
     report = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
     assert report["task"] == load_settings(run).task.name
     # dm_control's rewards lie in [0, 1], and an episode has 1,000 steps.
     assert 0 <= report["return_mean"] <= 1000 or task != "walker_walk"
-    said = capsys.readouterr().out
-    # The output names no number of the paper's, and no command that would refuse this run.
-    assert "380.0" not in said and "gctd3.evaluate run=" in said and "gctd3.view" not in said
+    evaluated = capsys.readouterr().out
+    # The output has the task's figures, no number of the paper's, and no command that would refuse this run.
+    assert "gctd3.evaluate run=" in trained and "gctd3.view" not in trained
+    assert "Best evaluation" in trained and "success" not in trained.partition("Best evaluation")[2]
+    assert all(figure in evaluated for figure in ("episodes", "return", "velocity, m/s", "distance, m"))
+    assert not any(figure in evaluated for figure in ("380.0", "paper", "success", "body position", "no gait"))
+    assert command("evaluate", f"run={run}", "episodes=1", "reward=table3") == 2
+    assert f"reward.terms must be empty for {report['task']}, which brings its own" in capsys.readouterr().err
     assert command("render", f"run={run}", f"out={tmp_path / 'walk.png'}") == 2
     assert "film is for tasks that gctd3 simulates" in capsys.readouterr().err
+
+
+def test_a_robot_that_cannot_walk_has_no_velocity_to_show():
+    report = {"task": "cartpole-balance", "episodes": 3, "return_mean": 12.0, "return_std": 1.5, "gait": {}}
+    said = table({**report, "velocity_mean": 0.0, "distance_mean": 0.0, "success_rate": 0.0})
+    assert [line.split()[:2] for line in said.splitlines()[1:]] == [["episodes", "3"], ["return", "12.0"]]
 
 
 @pytest.mark.parametrize("algorithm", ["sac", pytest.param("ddpg", marks=pytest.mark.nightly)])

@@ -1,17 +1,21 @@
 """Files of a run are data: no code in any of them is executed."""
 
+import os
 import pickle
 import re
 import shutil
+import subprocess
 import sys
 from itertools import cycle, product
 from pathlib import Path
 
 import pytest
 import torch
-from running import command, train
+from omegaconf import OmegaConf
+from running import command, tiny, train
 
 import gctd3
+from gctd3.config.build import again, packages
 from gctd3.errors import RunError
 from gctd3.files import checksum, load_tree, read_manifest, write_manifest
 from gctd3.runs.load import load_policy
@@ -106,7 +110,12 @@ def test_no_stranger_is_imported_unless_it_is_allowed(tmp_path, monkeypatch, cap
         load_policy(broken)
     assert not marker.exists() and "stranger" not in sys.modules
 
-    monkeypatch.setenv("GCTD3_MODULES", "another, stranger")
+    for typo in ("strange", "stranger.Settings"):
+        monkeypatch.setenv("GCTD3_MODULES", f"json,{typo}")
+        with pytest.raises(RunError, match=rf"GCTD3_MODULES must name packages, by commas; '{typo}' is not found\."):
+            load_policy(broken)
+    assert not marker.exists()
+    monkeypatch.setenv("GCTD3_MODULES", "json, stranger")
     assert load_policy(broken) is not None and marker.exists()
     # A module that the caller has imported is allowed.
     monkeypatch.delenv("GCTD3_MODULES")
@@ -119,6 +128,56 @@ def test_a_command_line_may_name_modules_of_ones_own(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     trained = train(tmp_path / "run", "algo._target_=mine.Settings")
     assert load_settings(trained).algo == sys.modules.pop("mine").Settings(privileged_critic=True)
+
+
+MINE = "from own_terms import Rising\n\n\nclass Mine(Rising):\n    pass\n"
+
+
+def test_a_sweep_with_terms_of_ones_own_goes_on(tmp_path, monkeypatch, capsys):
+    """As in a process of its own, which has imported nothing yet."""
+    (tmp_path / "mine.py").write_text(MINE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    folder = [f"hydra.sweep.dir={tmp_path / 'sweep'}", "hydra.sweep.subdir=one", "seed=0", "-m"]
+    words = [*tiny(tmp_path / "unused", "+reward.terms.mine._target_=mine.Mine"), *folder]
+    assert command("train", *words) == 0
+    del sys.modules["mine"]
+    capsys.readouterr()
+    assert command("train", *words) == 0
+    assert "It is finished already." in capsys.readouterr().out
+    del sys.modules["mine"]
+
+
+def test_what_a_training_prints_can_be_pasted(tmp_path, monkeypatch, capsys):
+    (tmp_path / "mine.py").write_text(MINE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    there = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    monkeypatch.setenv("PYTHONPATH", there)
+    train(tmp_path / "a run", "+reward.terms.mine._target_=mine.Mine")
+    said = capsys.readouterr().out
+    line = next(line for line in said.splitlines() if line.startswith("Evaluate it over 50 episodes:"))
+    monkeypatch.delenv("PYTHONPATH")
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+    done = subprocess.run(line.partition(":  ")[2], shell=True, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "a run" / "evaluation.json").is_file()
+    assert f"GCTD3_MODULES=mine python -m gctd3.view 'run={tmp_path / 'a run'}'" in said
+    del sys.modules["mine"]
+
+
+@pytest.mark.parametrize(
+    "config, needed",
+    [
+        ({"_target_": "gctd3.Reward", "terms": {"a": {"_target_": "one.two.A"}, "b": None}}, ["one"]),
+        ({"reward.terms.a._target_": "one.A", "task._target_": "two.B", "algo._target_": "gctd3.X"}, ["one", "two"]),
+        ({"list": [{"_target_": "one.A"}, {"_target_": "one.B"}, 3]}, ["one"]),
+        ({"_target_": "gctd3.Reward"}, []),
+    ],
+)
+def test_packages_that_a_configuration_names(config, needed, monkeypatch):
+    assert packages(config) == packages(OmegaConf.create(config)) == needed
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    said = f"GCTD3_MODULES={','.join(needed)} " if needed else ""
+    assert again(config, "train", "resume=a") == f"{said}python -m gctd3.train resume=a"
 
 
 def seal(run):
