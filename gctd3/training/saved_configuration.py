@@ -113,8 +113,13 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
     """
     config, first = load_config(run), command_line(run)
     own = ("resume", "hydra.run.dir", "hydra.output_subdir")
-    # The run's own choices are repeated so that Hydra knows their keys, but Hydra refuses a choice given twice.
-    new = [item for item in overrides if item.split("=", 1)[0] not in own and item not in first]
+    line = list(first)
+    for item in overrides:
+        # The run's own choices are repeated so that Hydra knows their keys, and a sweep repeats the whole line.
+        if item.split("=", 1)[0] not in own and not _in_force(item, line):
+            # Hydra adds a key by a single + only where it is missing.
+            line.append(f"++{item.lstrip('+')}" if item in line and item.startswith("+") else item)
+    new = line[len(first) :]
     if not new:
         return config, first
     was, known = _composed(root, first)
@@ -129,7 +134,21 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
         )
     for key, value in difference.items():
         OmegaConf.update(config, key, value, force_add=True)
-    return config, [*first, *new]
+    return config, line if difference else first
+
+
+def _in_force(item: str, line: Sequence[str]) -> bool:
+    """Tell whether a command line has an override, and none after it of the same key, of its parts or of its whole."""
+    if item not in line:
+        return False
+    place = _place(item)
+    after = map(_place, line[len(line) - line[::-1].index(item) :])
+    return not any(f"{other}.".startswith(f"{place}.") or f"{place}.".startswith(f"{other}.") for other in after)
+
+
+def _place(override: str) -> str:
+    """Return the key or the group that an override is of."""
+    return override.lstrip("+~").split("=", 1)[0]
 
 
 def choices(run: Path, arguments: Sequence[str]) -> list[str]:

@@ -7,11 +7,12 @@ from itertools import product
 import pytest
 import torch
 from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
 from resuming import TIMED, StopAfter, assert_same_run, stopped
 from running import TINY, Recorded, command, rows, train
 
 from gctd3.training.checkpoint import Checkpoints
-from gctd3.training.saved_configuration import save_config
+from gctd3.training.saved_configuration import changed, command_line, load_config, save_config
 
 ALGORITHMS = ("gctd3", "td3", "ddpg", "sac")
 # The state of a backend is the same for all algorithms, and that of an algorithm is tested by itself as well.
@@ -81,6 +82,39 @@ def test_other_settings_are_refused_by_name_and_harmless_ones_taken(finished, tm
     assert command("train", f"resume={run}", "logger=csv", "total_frames=320") == 0
     assert [row["frames"] for row in rows(run)] == ["80", "160", "240", "320"]
     assert (run / "csv").is_dir()
+
+
+BOUND, RETURN, ENOUGH = (
+    f"stop_when.{key}" for key in ("at_least.train_episodes", "at_least.return_mean", "evaluations")
+)
+HISTORY = {
+    "total_frames=240 logger=none stop_when=never": {"total_frames": 240, "logger": "none", ENOUGH: None},
+    "total_frames=160 logger=csv stop_when=walk": {"total_frames": 160, "logger": "csv", ENOUGH: 2},
+    "logger=none total_frames=240 stop_when=never": {"total_frames": 240, "logger": "none", ENOUGH: None},
+    f"stop_when=walk +{BOUND}=5 {RETURN}=1": {BOUND: 5, RETURN: 1, ENOUGH: 2},
+    f"{BOUND}=6 stop_when.at_least={{return_mean:2}}": {BOUND: 6, RETURN: 2},
+    f"{RETURN}=1 +{BOUND}=5": {BOUND: 5, RETURN: 1},
+    # The last of a line counts.
+    "threads=2 logger=csv logger=none": {"threads": 2, "logger": "none"},
+    "threads=3 threads=2": {"threads": 2},
+    "threads=2 threads=3": {"threads": 3},
+}
+
+
+def test_a_setting_counts_that_an_earlier_command_line_has_too(tmp_path):
+    wanted = {}
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        save_config(tmp_path, compose("config"), [])
+        for line, values in HISTORY.items():
+            wanted |= values
+            save_config(tmp_path, *changed(tmp_path, "config", line.split()))
+            saved = load_config(tmp_path)
+            assert {key: OmegaConf.select(saved, key) for key in wanted} == wanted, line
+        # Hydra itself reads the whole line alike.
+        kept = compose("config", command_line(tmp_path))
+        assert {key: OmegaConf.select(kept, key) for key in wanted} == wanted
+        # A sweep that goes on repeats its line, and nothing is added to it.
+        assert changed(tmp_path, "config", command_line(tmp_path)) == (saved, command_line(tmp_path))
 
 
 def test_keys_of_the_options_that_the_run_chose_are_known(tmp_path, capsys):
