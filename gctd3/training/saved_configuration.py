@@ -133,7 +133,12 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
             "Start a new run for the rest."
         )
     for key, value in difference.items():
-        OmegaConf.update(config, key, value, force_add=True)
+        parent, _, name = key.rpartition(".")
+        mapping = OmegaConf.select(config, parent) if parent else config
+        if key in after:
+            OmegaConf.update(config, key, value, force_add=True)
+        elif isinstance(mapping, DictConfig):
+            mapping.pop(name, None)
     return config, line if difference else first
 
 

@@ -11,8 +11,9 @@ from omegaconf import OmegaConf
 from resuming import TIMED, StopAfter, assert_same_run, stopped
 from running import TINY, Recorded, command, rows, train
 
+from gctd3.config.build import build
 from gctd3.training.checkpoint import Checkpoints
-from gctd3.training.saved_configuration import changed, command_line, load_config, save_config
+from gctd3.training.saved_configuration import changed, command_line, load_config, load_settings, save_config
 
 ALGORITHMS = ("gctd3", "td3", "ddpg", "sac")
 # The state of a backend is the same for all algorithms, and that of an algorithm is tested by itself as well.
@@ -115,6 +116,14 @@ def test_a_setting_counts_that_an_earlier_command_line_has_too(tmp_path):
         assert {key: OmegaConf.select(kept, key) for key in wanted} == wanted
         # A sweep that goes on repeats its line, and nothing is added to it.
         assert changed(tmp_path, "config", command_line(tmp_path)) == (saved, command_line(tmp_path))
+
+
+@pytest.mark.parametrize("line", ["stop_when=never", "~stop_when.at_least.success_rate", "~stop_when.at_most"])
+def test_a_setting_can_be_left_out(tmp_path, line):
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        save_config(tmp_path, compose("config"), [])
+        save_config(tmp_path, *changed(tmp_path, "config", [line]))
+        assert load_settings(tmp_path) == build(compose("config", [line]))
 
 
 def test_keys_of_the_options_that_the_run_chose_are_known(tmp_path, capsys):
