@@ -45,7 +45,7 @@ class Networks:
     def backward(
         self, passed: list[Tensor], gradient: Tensor, for_input: bool = False
     ) -> tuple[list[Tensor], Tensor | None]:
-        """From the output's gradient ``[E, B, O]`` to those of the parameters, or only to the input's."""
+        """Compute the parameters' gradients, or only the input's, from the output's gradient ``[E, B, O]``."""
         weights, biases = [], []
         for layer in reversed(range(len(self.weights))):
             weight, x = self.weights[layer][: len(gradient)], passed[layer]
@@ -102,20 +102,20 @@ class TD3ByHand:
             torch._foreach_lerp_(targets, self.critics.parameters() + self.actor.parameters(), TAU)
 
     def target(self, noise: Tensor) -> Tensor:
-        """What the critics' values are drawn to, ``[B]``, from standard normal ``noise``."""
+        """Compute the target of the critics' values, ``[B]``, with standard normal ``noise``."""
         action = self.target_actor.forward(self.following)[-1][0].tanh_()
         action = (action + (noise * NOISE).clamp_(-CLIP, CLIP)).clamp_(-1.0, 1.0)
         value = self.target_critics.forward(torch.cat([self.following, action], 1))[-1].squeeze(-1).min(0)[0]
         return self.rewards + GAMMA * (1.0 - self.terminated) * value
 
     def critic_gradients(self, target: Tensor) -> list[Tensor]:
-        """Of the critics' mean squared errors, added up."""
+        """Compute the gradients of the sum of the critics' mean squared errors."""
         passed = self.critics.forward(torch.cat([self.states, self.actions], 1))
         error = passed[-1] - target.unsqueeze(-1)
         return self.critics.backward(passed, error * (2.0 / len(target)))[0]
 
     def actor_gradients(self) -> list[Tensor]:
-        """Of minus the first critic's mean value of the actor's actions."""
+        """Compute the gradients of minus the first critic's mean value of the actor's actions."""
         batch = len(self.states)
         passed = self.actor.forward(self.states)
         action = passed[-1][0].tanh_()

@@ -1,4 +1,4 @@
-"""What the benchmarks share: timing side by side, the machine in words, JSON out."""
+"""Functions for all benchmarks: time alternatives side by side, describe the machine, write JSON."""
 
 from __future__ import annotations
 

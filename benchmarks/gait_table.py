@@ -1,4 +1,4 @@
-"""What a race for a gait comes to: runs, when one walks, and the table; see ``time_to_gait.py``."""
+"""Results of a race for a gait: the runs, when each one walks, and the table; see ``time_to_gait.py``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import statistics
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gctd3.runs.judge import PAPER
+from gctd3.runs.evaluate import PAPER
 
 RETURN = PAPER["return_mean"]
 BASE = "gctd3"  # the others' times are divided by its
@@ -22,12 +22,12 @@ class Run:
 
     Attributes:
         contender: Who trained.
-        seed: Of the training.
+        seed: Seed of the training.
         outcome: ``reached``; ``not within`` the cap; ``ended`` by itself before it walked; ``failed``.
         minutes: Until it walked, or until it was over.
         curve: Its evaluations, each with the ``minutes`` at which it was seen.
         recipe: A peer's hyperparameters.
-        exit_code: Of a training that ended by itself.
+        exit_code: Exit code of a training that ended by itself.
     """
 
     contender: str
@@ -73,8 +73,8 @@ def words(row: Row) -> str:
     )
 
 
-def said(run: Run, cap: float) -> str:
-    """How a run ended, on a line."""
+def outcome(run: Run, cap: float) -> str:
+    """Describe how a run ended, in a line."""
     if run.reached:
         return f"walks after {run.minutes:.1f} min"
     how = {
@@ -87,7 +87,7 @@ def said(run: Run, cap: float) -> str:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a contender's runs show. One that did not walk counts as the cap, and makes what it enters a lower bound.
+    """Summarise a contender's runs. A run that did not walk counts as the cap, and makes its statistics lower bounds.
 
     Attributes:
         reached: Runs that walked.
@@ -113,7 +113,7 @@ class Summary:
 
 
 def summary(runs: list[Run], cap: float) -> Summary:
-    """Of one contender's runs."""
+    """Compute the summary of one contender's runs."""
     times = sorted((run.minutes if run.reached else cap, not run.reached) for run in runs)
     # Of an even number the later of the two middle ones decides whether their mean is known.
     deciding = {"median": times[len(times) // 2], "min": times[0], "max": times[-1]}
@@ -147,5 +147,5 @@ def table(runs: list[Run], cap: float) -> str:
         frames = "-" if figures.frames is None else f"{figures.frames:,.0f}"
         cells = [f"{figures.reached}/{figures.all}", *minutes, frames, ratio(figures, found.get(BASE))]
         lines.append(f"{name:10}" + "".join(f"{cell:>12}" for cell in cells))
-    lines += [f"{run.contender} seed {run.seed}: {said(run, cap)}" for run in runs if not run.reached]
+    lines += [f"{run.contender} seed {run.seed}: {outcome(run, cap)}" for run in runs if not run.reached]
     return "\n".join(lines)

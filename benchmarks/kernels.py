@@ -1,4 +1,4 @@
-"""What the hand-optimised arithmetic of gctd3.nn.kernels gains over its plain versions, as ratios of times.
+"""Measure the gain of the hand-optimised arithmetic of gctd3.nn.kernels over its plain versions, as ratios of times.
 
     python benchmarks/kernels.py [out=FILE.json] [rounds=100]
 

@@ -32,7 +32,6 @@ from gctd3.envs.library_robots import observed
 from gctd3.envs.nodes import with_nodes
 from gctd3.envs.settings import EnvSettings, Library, LibrarySettings
 from gctd3.robots.settings import RobotSettings
-from gctd3.tasks.reward import Reward
 
 TASKS: dict[str, Library] = {
     "HalfCheetah-v5": "gymnasium",
@@ -81,7 +80,7 @@ def main() -> None:
     work = {}
     for name, library in TASKS.items():
         settings = LibrarySettings(library=library, name=name)
-        task = settings.build(RobotSettings(), Reward())
+        task = settings.build(RobotSettings())
         for size in sizes:
             ours = build_env(task, EnvSettings("library", num_envs=size), 0)
             work[f"{name}, {size}, ours"] = stepped(ours, 400 // size)

@@ -119,14 +119,14 @@ NAMES = {a: b for pair in CALLED for a, b in (pair, pair[::-1])}
 
 @dataclass(frozen=True)
 class Site:
-    """A place in a file and what is put there.
+    """Describe a place in a file and its replacement.
 
     Attributes:
-        key: Where it is and what is done, in words that do not depend on the file and its lines.
-        kind: What is done.
-        line: Of the file as it is.
+        key: Place and change, in words that do not depend on the file and its lines.
+        kind: Kind of the change.
+        line: Line in the unchanged file.
         span: Start and end, bytes.
-        text: What is put there.
+        text: Replacement for it.
     """
 
     key: str
@@ -221,7 +221,7 @@ def sites(source: str) -> list[Site]:
 
 
 def children(node: ast.AST) -> Iterable[ast.AST]:
-    """What of a node is looked into."""
+    """Return the children of a node that are visited."""
     if isinstance(node, (ast.JoinedStr, ast.Raise, ast.Import, ast.ImportFrom, ast.Assert)):
         return []
     if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
@@ -252,7 +252,7 @@ class Tree:
 
     Args:
         name: For the table.
-        root: Of the checkout.
+        root: Directory of the checkout.
         python: An interpreter for its tests.
     """
 
@@ -287,7 +287,7 @@ class Tree:
         shutil.rmtree(self.copy, ignore_errors=True)
 
     def environment(self) -> dict[str, str]:
-        """Of the tests: the copy before what is installed, and no compiled file of a mutant that outlives it."""
+        """Return the tests' environment: the copy comes before the installed package, and no bytecode is written."""
         return {**os.environ, "PYTHONPATH": str(self.copy / "site"), "PYTHONDONTWRITEBYTECODE": "1"}
 
     def read(self, pattern: str) -> dict[str, dict[str, Site]]:
@@ -353,8 +353,8 @@ class Tree:
         named = re.findall(r"^(?:FAILED|ERROR) ([^\s\[]+(?:\[.*?\])?)(?: - .*)?$", out, flags=re.M)
         return "killed", named[0] if named else out.strip().splitlines()[-1][:200]
 
-    def judge(self, file: str, site: Site, full: bool, timeout: float) -> dict[str, Any]:
-        """What the tests make of one mutant."""
+    def evaluate(self, file: str, site: Site, full: bool, timeout: float) -> dict[str, Any]:
+        """Run the tests on one mutant and return the outcome."""
         target = self.copy / file
         source = target.read_text(encoding="utf-8")
         near = self.tests_of(file)
@@ -391,7 +391,7 @@ class Tree:
 
 
 def draw(trees: list[Tree], groups: Iterable[str], count: int, seed: int) -> list[dict[str, Any]]:
-    """As many mutants of each group, in turn, of what is alike in all trees."""
+    """Draw equally many mutants of each group, in turn, from the code that all trees share."""
     generator, decks = random.Random(seed), {}
     first, *others = trees
     for group in groups:
@@ -426,10 +426,10 @@ def table(content: dict[str, Any]) -> str:
     for group in [*dict.fromkeys(mutant["group"] for mutant in mutants), "all"]:
         cells = []
         for name in names:
-            judged = [
+            evaluated = [
                 m["results"][name]["outcome"] for m in mutants if group in (m["group"], "all") and name in m["results"]
             ]
-            cells.append(f"{sum(outcome in DETECTED for outcome in judged)} of {len(judged)}")
+            cells.append(f"{sum(outcome in DETECTED for outcome in evaluated)} of {len(evaluated)}")
         lines.append(f"{group:<12}" + "  ".join(f"{cell:>{max(width, 12)}}" for cell in cells))
     for mutant in mutants:
         found = {name: result["outcome"] in DETECTED for name, result in mutant["results"].items()}
@@ -440,7 +440,7 @@ def table(content: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Draw, judge what is not judged yet, and print the table."""
+    """Draw, evaluate what is not evaluated yet, and print the table."""
     given = options(
         out="",
         n="100",
@@ -451,7 +451,7 @@ def main() -> None:
         timeout="600",
     )
     if not given["out"]:
-        raise SystemExit("out=FILE.json is required: it holds what has been judged")
+        raise SystemExit("out=FILE.json is required: it holds what has been evaluated")
     unknown = [name for name in given["only"].split(",") if name not in GROUPS]
     if unknown:
         raise SystemExit(f"no group {', '.join(unknown)}; there are {', '.join(GROUPS)}")
@@ -478,7 +478,7 @@ def main() -> None:
                     raise SystemExit(
                         f"{tree.root / file} has changed since the mutants were drawn: choose another out="
                     )
-                result = tree.judge(file, site, full, float(given["timeout"]))
+                result = tree.evaluate(file, site, full, float(given["timeout"]))
                 mutant["results"][tree.name] = result
                 write_text(out, json.dumps(content, indent=1) + "\n")
                 print(

@@ -1,4 +1,4 @@
-"""TD3 of other libraries on the biped, each as its own documentation trains it, judged as gctd3 judges its policies.
+"""TD3 of other libraries on the biped, each as its own documentation trains it, evaluated like gctd3's policies.
 
     python benchmarks/peers.py peer=torchrl run=DIR [seed=0] [every=20000] [episodes=5] [minutes=20] [threads=1]
 
@@ -52,8 +52,8 @@ def shared_settings(every: int, episodes: int) -> TrainSettings:
         return build(compose("config", [f"evaluation.every={every}", f"evaluation.episodes={episodes}"]))
 
 
-class Judge:
-    """Writes a row of ``progress.csv`` whenever a peer's policy is due, judged as :class:`.Trainer` does.
+class Evaluator:
+    """Writes a row of ``progress.csv`` whenever a peer's policy is due, evaluated as :class:`.Trainer` does.
 
     Args:
         settings: Of :func:`shared_settings`, or of another training whose task and evaluation they share.
@@ -64,9 +64,9 @@ class Judge:
 
     def __init__(self, settings: TrainSettings, run: Path, minutes: float, threads: int) -> None:
         self.settings, self.run = settings, run
-        self.task = settings.setup().task.judged_by(settings.evaluation.reward)
-        judged = settings.env.judging(settings.evaluation.episodes, threads)
-        self.env = build_env(self.task, judged, settings.evaluation.seed)
+        self.task = settings.setup().task.with_reward(settings.evaluation.reward)
+        evaluated = settings.env.for_evaluation(settings.evaluation.episodes, threads)
+        self.env = build_env(self.task, evaluated, settings.evaluation.seed)
         self.began = time.monotonic()
         self.ends = self.began + 60 * minutes
         self.next = settings.evaluation.every
@@ -78,7 +78,7 @@ class Judge:
         return time.monotonic() > self.ends
 
     def __call__(self, act: Act, frames: int, updates: int) -> None:
-        """Judge the deterministic policy ``act`` if ``frames`` say that it is time."""
+        """Evaluate the deterministic policy ``act`` if ``frames`` say that it is time."""
         if frames < self.next:
             return
         self.next += self.settings.evaluation.every
@@ -104,20 +104,20 @@ def make_env(settings: TrainSettings) -> gymnasium.Env:
     return gymnasium.wrappers.FlattenObservation(gymnasium.make("gctd3/Biped-v0", reward=settings.reward))
 
 
-def stable_baselines(package: str, judge: Judge, seed: int) -> None:
+def stable_baselines(package: str, evaluator: Evaluator, seed: int) -> None:
     """Train Stable-Baselines3's (``stable_baselines3``) or SBX's (``sbx``) TD3."""
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.noise import NormalActionNoise
 
-    class Judged(BaseCallback):
+    class EvaluationCallback(BaseCallback):
         def _on_step(self) -> bool:
-            judge(act, self.num_timesteps, self.model._n_updates)
-            return not judge.over
+            evaluator(act, self.num_timesteps, self.model._n_updates)
+            return not evaluator.over
 
     def act(observation: Tensor) -> Tensor:
         return torch.as_tensor(model.predict(observation.numpy(), deterministic=True)[0])
 
-    env = make_env(judge.settings)
+    env = make_env(evaluator.settings)
     actions = env.action_space.shape[0]
     noise = NormalActionNoise(mean=np.zeros(actions), sigma=ACTION_NOISE * np.ones(actions))
     model = importlib.import_module(package).TD3("MlpPolicy", env, action_noise=noise, seed=seed, device="cpu")
@@ -125,8 +125,8 @@ def stable_baselines(package: str, judge: Judge, seed: int) -> None:
     others = ("policy_delay", "target_policy_noise", "target_noise_clip", "n_steps")
     layers = getattr(model.policy, "net_arch", None) or model.policy.net_arch_pi
     used = {name: getattr(model, name) for name in (*names, *others)}
-    judge.note({**used, "hidden_sizes": layers, "action_noise": ACTION_NOISE, "robots": 1})
-    model.learn(ENDLESS, callback=Judged())
+    evaluator.note({**used, "hidden_sizes": layers, "action_noise": ACTION_NOISE, "robots": 1})
+    model.learn(ENDLESS, callback=EvaluationCallback())
 
 
 @dataclass(frozen=True)
@@ -137,17 +137,17 @@ class StockRecipe:
         init_random_frames: Collected with random actions; learning starts after them.
         frames_per_batch: Collected at once, followed by as many updates times ``utd_ratio``.
         utd_ratio: Updates for each frame.
-        size: Of the replay buffer.
-        batch_size: Of an update.
+        size: Size of the replay buffer.
+        batch_size: Transitions of an update.
         gamma: Discount factor.
-        lr: Of Adam.
-        adam_eps: Of Adam.
+        lr: Learning rate of Adam.
+        adam_eps: Epsilon of Adam.
         target_update_polyak: Share of the targets that stays at each update of them.
         policy_update_delay: Critic updates for each update of the actor and the targets.
-        policy_noise: Of the target's actions.
+        policy_noise: Standard deviation of the noise on the target's actions.
         noise_clip: Largest size of that noise.
-        hidden_sizes: Of actor and critics, with ReLU.
-        std: Of the exploration noise.
+        hidden_sizes: Layers of actor and critics, with ReLU.
+        std: Standard deviation of the exploration noise.
         prefetch: Batches that a thread prepares.
     """
 
@@ -168,7 +168,9 @@ class StockRecipe:
     prefetch: int = 3
 
 
-def stock_torchrl(judge: Judge, seed: int, recipe: StockRecipe | None = None, total_frames: int = ENDLESS) -> None:
+def stock_torchrl(
+    evaluator: Evaluator, seed: int, recipe: StockRecipe | None = None, total_frames: int = ENDLESS
+) -> None:
     """Train TorchRL's TD3 as its example does, without what that only needs for logging and for several robots."""
     from torchrl import torchrl_logger
     from torchrl.collectors import Collector
@@ -179,10 +181,10 @@ def stock_torchrl(judge: Judge, seed: int, recipe: StockRecipe | None = None, to
 
     torchrl_logger.setLevel(logging.WARNING)
     recipe = recipe if recipe is not None else StockRecipe()
-    judge.note({**asdict(recipe), "robots": 1})
+    evaluator.note({**asdict(recipe), "robots": 1})
     torch.manual_seed(seed)
     np.random.seed(seed)
-    env = TransformedEnv(GymWrapper(make_env(judge.settings)), InitTracker())
+    env = TransformedEnv(GymWrapper(make_env(evaluator.settings)), InitTracker())
     env.set_seed(seed)
     spec = env.action_spec_unbatched
 
@@ -240,8 +242,8 @@ def stock_torchrl(judge: Judge, seed: int, recipe: StockRecipe | None = None, to
             if updates % recipe.policy_update_delay == 0:
                 minimize(actor_optimizer, loss.actor_loss(batch)[0])
                 targets.step()
-        judge(act, frames, updates)
-        if judge.over:
+        evaluator(act, frames, updates)
+        if evaluator.over:
             break
     collector.shutdown()
 
@@ -254,7 +256,7 @@ def minimize(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
 
 
 def versions(peer: str) -> dict[str, str]:
-    """Of the peer's package and what it stands on."""
+    """Return the versions of the peer's package and its dependencies."""
     from importlib.metadata import version
 
     names = {"torchrl": ("torchrl", "torch"), "sb3": ("stable-baselines3", "torch"), "sbx": ("sbx-rl", "jax")}
@@ -271,11 +273,11 @@ def main() -> None:
     threads, seed = int(given["threads"]), int(given["seed"])
     torch.set_num_threads(threads)
     settings = shared_settings(int(given["every"]), int(given["episodes"]))
-    judge = Judge(settings, Path(given["run"]), float(given["minutes"]), threads)
+    evaluator = Evaluator(settings, Path(given["run"]), float(given["minutes"]), threads)
     if given["peer"] == "torchrl":
-        stock_torchrl(judge, seed)
+        stock_torchrl(evaluator, seed)
     else:
-        stable_baselines(PACKAGES[given["peer"]], judge, seed)
+        stable_baselines(PACKAGES[given["peer"]], evaluator, seed)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What workers that collect beside the learner gain, where that ends, and what it means for 10, 100 and 1,000 cores.
+"""Measure the gain of workers beside the learner, its limit, and what this means for 10, 100 and 1,000 cores.
 
     python benchmarks/scale_out.py [workers=1,2,4] [seconds=30] [rounds=3] [out=FILE.json]
     python benchmarks/scale_out.py collector=ray seeds=0,1,2 cap=30
@@ -45,7 +45,7 @@ FIRST_GAIT += ["~stop_when.at_most.hip_correlation", "~stop_when.at_most.flight_
 
 @dataclass(frozen=True)
 class Rates:
-    """What was measured for one way to collect.
+    """Hold the measurements of one way to collect.
 
     Attributes:
         workers: Workers; 0 for the inline collector.
@@ -55,8 +55,8 @@ class Rates:
         updates: Updates/s while it trains.
         ratio: Updates for each env step.
         batch_frames: Env steps between two messages of all workers.
-        weight_bytes: Of the actor's weights, which every worker gets for every batch.
-        step_bytes: Of one env step on its way to the learner.
+        weight_bytes: Size of the actor's weights, which every worker gets for every batch.
+        step_bytes: Size of one environment step on its way to the learner.
     """
 
     workers: int
@@ -71,17 +71,17 @@ class Rates:
 
     @property
     def learner_limit(self) -> float:
-        """Env steps/s that the learner could take."""
+        """Return the environment steps per second that the learner could take."""
         return self.learnt / self.ratio
 
     @property
     def limit(self) -> str:
-        """Who is waited for."""
+        """Return the side that the other one waits for."""
         return "learner" if self.learner_limit <= self.collected else "workers"
 
 
 def per_second(work: Callable[[], float], seconds: float) -> float:
-    """Rate of ``work``, whose calls return how much they did, after one that is not counted."""
+    """Measure the rate of ``work``, whose calls return how much they did; the first call does not count."""
     work()
     began, done = time.perf_counter(), 0.0
     while (spent := time.perf_counter() - began) < seconds:
@@ -90,12 +90,12 @@ def per_second(work: Callable[[], float], seconds: float) -> float:
 
 
 def arguments(collector: str, workers: int) -> list[str]:
-    """Of a training's command line."""
+    """Return the overrides of a training's command line."""
     return [f"collector={collector}", f"collector.workers={workers}"] if workers else ["collector=inline"]
 
 
 def measure(collector: str, workers: int, seconds: float, more: list[str]) -> Rates:
-    """Rates of the default training, changed by ``more``."""
+    """Measure the rates of the default training, changed by ``more``."""
     with initialize_config_module("gctd3.conf", version_base="1.3"):
         settings = build(compose("config", [*STEADY, *arguments(collector, workers), *more]))
     settings.check_here()

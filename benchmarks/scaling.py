@@ -1,4 +1,4 @@
-"""How cost grows: environment steps with robots and threads, TD3 updates with nodes, batch and threads.
+"""Measure how cost grows: environment steps with robots and threads, TD3 updates with nodes, batch and threads.
 
     python benchmarks/scaling.py [out=FILE.json] [plot=FILE.png] [rounds=5] [threads=1]
     python benchmarks/scaling.py robots=1,8,64 nodes=8,16 batches=256 cores=1,2

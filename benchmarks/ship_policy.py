@@ -2,7 +2,7 @@
 
     python benchmarks/ship_policy.py run=DIR [commit=COMMIT] [to=models/biped/policy]
 
-Judges it over 50 episodes first, and refuses one that does not walk as ``conf/stop_when/walk.yaml`` says. What is
+Evaluates it over 50 episodes first, and refuses one that does not walk as ``conf/stop_when/walk.yaml`` says. What is
 written is a run without its training: configuration, policy, ``evaluation.json``. ``commit`` is the one that trained
 it, by default this checkout's.
 """
@@ -20,7 +20,7 @@ from omegaconf import OmegaConf
 
 from gctd3.config.build import build
 from gctd3.files import new_directory, write_manifest
-from gctd3.runs.judge import EVALUATION, evaluate_run, table
+from gctd3.runs.evaluate import EVALUATION, evaluate_run, table
 from gctd3.runs.settings import EvaluateSettings
 from gctd3.tasks.reward import Reward
 from gctd3.training.checkpoint import POLICY, Checkpoints, checked
@@ -32,14 +32,14 @@ MOST_BYTES = 1_000_000
 
 
 def fill(folder: Path, run: Path, trained_at: str) -> list[str]:
-    """Judge a run's best policy and copy what is shipped of it into an empty folder.
+    """Evaluate a run's best policy and copy what is shipped of it into an empty folder.
 
     Returns:
         What of a walk it does not show, by the name of the metric.
     """
-    with tempfile.TemporaryDirectory() as judged:
-        report = evaluate_run(EvaluateSettings(run=str(run), reward=Reward(), episodes=EPISODES, out=judged))
-        shutil.copyfile(Path(judged, EVALUATION), folder / EVALUATION)
+    with tempfile.TemporaryDirectory() as evaluated:
+        report = evaluate_run(EvaluateSettings(run=str(run), reward=Reward(), episodes=EPISODES, out=evaluated))
+        shutil.copyfile(Path(evaluated, EVALUATION), folder / EVALUATION)
     print(table(report))
     best = Checkpoints(run).best()
     target = folder / best.relative_to(run)
@@ -63,7 +63,7 @@ def lacking(evaluation: dict[str, object]) -> list[str]:
 
 
 def main() -> None:
-    """Judge, copy, put in place."""
+    """Evaluate, copy, put in place."""
     given = options(run="", commit="", to=str(Path(__file__).parents[1] / "models" / "biped" / "policy"))
     if not given["run"]:
         raise SystemExit("run=DIR is required")

@@ -4,7 +4,7 @@
     python benchmarks/time_to_gait.py contenders=gctd3,sb3 cap=20 every=20000
 
 Walking is an evaluation in which each of 5 episodes reaches the finish, with the paper's mean return or more, under
-``reward=paper``. Everybody trains for the same reward, is judged every ``every`` steps by the same function from the
+``reward=paper``. Everybody trains for the same reward, is evaluated every ``every`` steps by the same function from the
 same starts, and has ``cap`` minutes on the CPU. Each training is a process of its own; the clock runs from its start,
 imports and compilation included, until that evaluation has been written down. ``gctd3`` and ``td3`` are
 ``python -m gctd3.train algo=...``; what the others are, ``benchmarks/peers.py`` says. Runs that do not get there count
@@ -26,7 +26,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from common import options, report
-from gait_table import RETURN, Run, passes, read_progress, said, summary, table, words
+from gait_table import RETURN, Run, outcome, passes, read_progress, summary, table, words
 from peers import PACKAGES, RECIPE, versions
 
 from gctd3.training.run_log import PROGRESS
@@ -37,7 +37,7 @@ POLL = 0.1  # s
 
 
 def command(contender: str, seed: int, directory: Path, cap: float, every: int, threads: int) -> list[str]:
-    """The training's command line."""
+    """Return the training's command line."""
     if contender in OURS:
         evaluation = [f"evaluation.every={every}", f"evaluation.episodes={EPISODES}"]
         cores = [f"threads={threads}", f"env.threads={threads}"]
@@ -49,7 +49,7 @@ def command(contender: str, seed: int, directory: Path, cap: float, every: int, 
 
 
 def environment(threads: int) -> dict[str, str]:
-    """Of the training: as many cores for everybody's library, and no GPU."""
+    """Return the environment variables of a training: equally many cores for every library, and no GPU."""
     count = str(threads)
     limits = {name: count for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NPROC")}
     # NPROC sizes the thread pool of JAX on the CPU; one thread also needs its matrix products told.
@@ -89,7 +89,7 @@ def race(run: Run, line: list[str], directory: Path, cap: float, threads: int, s
             end(process)
             if (directory / RECIPE).exists():
                 run.recipe = json.loads((directory / RECIPE).read_text(encoding="utf-8"))
-            print(f"[{run.minutes:5.1f} min] {name}: {said(run, cap)}", flush=True)
+            print(f"[{run.minutes:5.1f} min] {name}: {outcome(run, cap)}", flush=True)
 
 
 def end(process: subprocess.Popen[bytes]) -> None:

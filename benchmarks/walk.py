@@ -1,4 +1,4 @@
-"""Does the default training walk? Trains an algorithm over several seeds and judges each best policy over 50 episodes.
+"""Test whether the default training walks: train over several seeds, evaluate each best policy over 50 episodes.
 
     python benchmarks/walk.py algo=gctd3 seeds=0,1,2,3,4 out=benchmarks/results/walk_gctd3.json
     python benchmarks/walk.py algo=td3 jobs=2 threads=1 env.threads=1
@@ -26,7 +26,7 @@ EPISODES = 50
 OWN = {"algo": "gctd3", "seeds": "0,1,2,3,4", "out": "", "runs": "runs/benchmark", "jobs": "1"}
 
 
-def train_and_judge(algo: str, seed: int, run: Path, passed_on: list[str]) -> dict[str, Any]:
+def train_and_evaluate(algo: str, seed: int, run: Path, passed_on: list[str]) -> dict[str, Any]:
     """One seed, in processes of its own; what they print goes to ``log.txt`` in the run's directory."""
     run.mkdir(parents=True, exist_ok=False)
     with (run / "log.txt").open("w") as log:
@@ -56,7 +56,7 @@ def main() -> None:
     if there:
         raise SystemExit(f"there is {', '.join(there)} already: choose another runs=, or move it elsewhere")
     with ThreadPoolExecutor(int(own["jobs"])) as pool:
-        rows = list(pool.map(lambda s: train_and_judge(own["algo"], s, folder / f"seed{s}", passed_on), seeds))
+        rows = list(pool.map(lambda s: train_and_evaluate(own["algo"], s, folder / f"seed{s}", passed_on), seeds))
     print(table(rows))
     report("walk", {"algo": own["algo"], "passed_on": passed_on, "jobs": int(own["jobs"]), "seeds": rows}, own["out"])
 

@@ -1,4 +1,4 @@
-"""What learning curves of two sides come to: intervals over seeds, differences, a table, a picture."""
+"""Compare learning curves of two sides: intervals over seeds, differences, a table, a picture."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Run:
         task: Name of the task in ``conf/env``.
         algo: Algorithm.
         side: Whose.
-        seed: Of the training.
-        commit: Of this project when it was started.
+        seed: Seed of the training.
+        commit: Commit of this project when it was started.
         minutes: Wall-clock until its last evaluation.
         curve: Its evaluations: ``frames``, ``return_mean``, ``return_std`` and more.
     """
@@ -49,7 +49,7 @@ class Run:
 
     @property
     def name(self) -> tuple[str, str, str, int]:
-        """What tells it from the others."""
+        """Return the key that distinguishes it from the others."""
         return self.task, self.algo, self.side, self.seed
 
 
@@ -74,12 +74,12 @@ class Mean:
         return self.low <= other.high and other.low <= self.high
 
     def text(self) -> str:
-        """As ``5123 [4801, 5445]``."""
+        """Format the mean as ``5123 [4801, 5445]``."""
         return f"{self.value:.0f}" + (f" [{self.low:.0f}, {self.high:.0f}]" if self.low is not None else "")
 
 
 def mean(values: Sequence[float]) -> Mean:
-    """Of one number of each seed."""
+    """Compute the mean of one number of each seed, with its interval."""
     array, n = np.array(values, dtype=np.float64), len(values)
     if n < 2:
         return Mean(float(array.mean()))
@@ -88,7 +88,7 @@ def mean(values: Sequence[float]) -> Mean:
 
 
 def difference(first: Sequence[float], second: Sequence[float]) -> Mean:
-    """Of two means, with Welch's 95 % interval (Welch 1947)."""
+    """Compute the difference of two means, with Welch's 95 % interval (Welch 1947)."""
     value = float(np.mean(first) - np.mean(second))
     if min(len(first), len(second)) < 2:
         return Mean(value)
@@ -106,9 +106,9 @@ class Comparison:
     Attributes:
         task: The task.
         algo: The algorithm.
-        seeds: Of each side.
-        frames: Steps at which every run was judged.
-        curves: Of each side, a mean for each of ``frames``.
+        seeds: Seeds of each side.
+        frames: Steps at which every run was evaluated.
+        curves: Curve of each side, a mean for each of ``frames``.
         average: Difference, ours minus theirs, of the return averaged over ``frames``.
         overlap: Whether the curves' intervals overlap at each of ``frames``; ``None`` if a side has but one seed.
     """
@@ -123,7 +123,7 @@ class Comparison:
 
 
 def compare(runs: Sequence[Run], task: str, algo: str) -> Comparison | None:
-    """``None`` unless there are runs of both sides that were judged at a common moment."""
+    """``None`` unless there are runs of both sides that were evaluated at a common moment."""
     mine = {side: [r for r in runs if (r.task, r.algo, r.side) == (task, algo, side)] for side in SIDES}
     moments = [{int(row["frames"]) for row in run.curve} for side in SIDES for run in mine[side]]
     frames = sorted(set.intersection(*moments)) if moments else []

@@ -30,7 +30,7 @@ class Recipe:
     adds 1e-6 to what it takes SAC's logarithm of.
 
     Attributes:
-        learning_rate: Of Adam, for every network and SAC's temperature.
+        learning_rate: Learning rate of Adam, for every network and SAC's temperature.
         batch_size: Transitions of an update.
         capacity: Transitions kept.
         gamma: Discount factor.
@@ -39,7 +39,7 @@ class Recipe:
         random_steps: Steps with uniform actions, before the first update.
         action_noise: Standard deviation of the noise on TD3's and DDPG's actions.
         policy_delay: TD3's critic updates for each update of the actor and the targets.
-        policy_noise: Of TD3's target actions.
+        policy_noise: Standard deviation of the noise on TD3's target actions.
         noise_clip: Largest size of that noise.
         temperature: SAC's first; it is learned, for an entropy of minus the number of actions.
     """

@@ -1,11 +1,11 @@
-"""Our td3, sac and ddpg beside Stable-Baselines3's: same tasks, observations, hyperparameters, judge and starts.
+"""Our td3, sac and ddpg beside Stable-Baselines3's: same tasks, observations, hyperparameters, evaluator and starts.
 
     python benchmarks/yardsticks.py out=FILE.json plot=FILE.png
     python benchmarks/yardsticks.py tasks=halfcheetah algos=td3 seeds=0 steps=30000 every=5000 out=FILE.json
 
 Trains an MLP on Gymnasium's own observation with the values of ``benchmarks/yardstick_recipe.py``; ours is
-``python -m gctd3.train task=... task.observation=flat``, theirs a model of Stable-Baselines3's. Both are judged every
-``every`` steps over ``episodes`` episodes by :func:`.rollout.evaluate`, from the same starts. Trainings run one
+``python -m gctd3.train task=... task.observation=flat``, theirs a model of Stable-Baselines3's. Both are evaluated
+every ``every`` steps over ``episodes`` episodes by :func:`.rollout.evaluate`, from the same starts. Trainings run one
 after another, seed by seed. Each is written to ``out`` as soon as it is over; those that ``out`` holds are not made
 again, so that the same command goes on after it was stopped. On two cores: one command for each task, each with its own
 ``out``.
@@ -25,7 +25,7 @@ import torch
 from common import commit, options, report
 from gait_table import read_progress
 from hydra import compose, initialize_config_module
-from peers import ENDLESS, Judge, versions
+from peers import ENDLESS, Evaluator, versions
 from yardstick_curves import SIDES, Run, compare, draw, figures, table
 from yardstick_recipe import ALGORITHMS, TASKS, Recipe, ours, theirs
 
@@ -42,12 +42,12 @@ KEPT = ("steps", "every", "episodes", "random_steps")
 def command_line(run: Run, recipe: Recipe, given: dict[str, str]) -> list[str]:
     """Our training's, but for where it writes."""
     long = [f"total_frames={given['steps']}", f"evaluation.every={given['every']}"]
-    judged = [f"evaluation.episodes={given['episodes']}", f"seed={run.seed}"]
-    return [*ours(run.algo, run.task, recipe), *long, *judged, f"threads={given['threads']}", "logger=none"]
+    evaluated = [f"evaluation.episodes={given['episodes']}", f"seed={run.seed}"]
+    return [*ours(run.algo, run.task, recipe), *long, *evaluated, f"threads={given['threads']}", "logger=none"]
 
 
 def settings_of(run: Run, recipe: Recipe, given: dict[str, str]) -> TrainSettings:
-    """Our training's settings: theirs has the same task and the same judge."""
+    """Our training's settings: theirs has the same task and the same evaluator."""
     with initialize_config_module(CONF, version_base="1.3"):
         return build(compose("config", command_line(run, recipe, given)))
 
@@ -68,18 +68,18 @@ def train_theirs(run: Run, recipe: Recipe, given: dict[str, str], directory: Pat
 
     shutil.rmtree(directory, ignore_errors=True)
     torch.set_num_threads(int(given["threads"]))
-    judge = Judge(settings_of(run, recipe, given), directory, ENDLESS, int(given["threads"]))
+    evaluator = Evaluator(settings_of(run, recipe, given), directory, ENDLESS, int(given["threads"]))
     model = theirs(run.algo, run.task, recipe, run.seed)
 
-    class Judged(BaseCallback):
+    class EvaluationCallback(BaseCallback):
         def _on_step(self) -> bool:
-            judge(act, self.num_timesteps, self.model._n_updates)
+            evaluator(act, self.num_timesteps, self.model._n_updates)
             return True
 
     def act(observation: torch.Tensor) -> torch.Tensor:
         return torch.as_tensor(model.predict(observation.numpy(), deterministic=True)[0])
 
-    model.learn(int(given["steps"]), callback=Judged())
+    model.learn(int(given["steps"]), callback=EvaluationCallback())
 
 
 def known(out: str, given: dict[str, str]) -> list[Run]:
@@ -109,7 +109,9 @@ def plan(given: dict[str, str]) -> list[Run]:
         if unknown:
             raise SystemExit(f"{key} knows no {', '.join(unknown)}; there are {', '.join(accepted)}")
     if int(given["every"]) > int(given["steps"]):
-        raise SystemExit(f"every must be at most steps={given['steps']}, got {given['every']}: nobody would be judged")
+        raise SystemExit(
+            f"every must be at most steps={given['steps']}, got {given['every']}: nobody would be evaluated"
+        )
     seeds = [int(text) for text in given["seeds"].split(",")]
     names = itertools.product(seeds, chosen["tasks"], chosen["algos"], chosen["sides"])
     return [Run(task, algo, side, seed) for seed, task, algo, side in names]

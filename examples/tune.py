@@ -23,7 +23,7 @@ from optuna.trial import Trial, TrialState
 
 
 def suggest(trial: Trial) -> dict[str, float]:
-    """What is searched: any key of the training's configuration."""
+    """Suggest values to search over, for any keys of the training's configuration."""
     return {
         "algo.learning_rate": trial.suggest_float("algo.learning_rate", 1e-4, 1e-3, log=True),
         "algo.tau": trial.suggest_float("algo.tau", 1e-3, 2e-2, log=True),

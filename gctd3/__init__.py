@@ -29,7 +29,7 @@ _HOME = {
     "make_env": "gctd3.envs.factory",
     "make_stochastic_actor": "gctd3.nn",
 }
-# What the ``_target_`` of a YAML may name of gctd3. Configurations of runs hold these names, so they outlive moves.
+# Names of gctd3 for the ``_target_`` of a YAML. Configurations of runs hold these names, so they outlive moves.
 _TARGETS = {
     "ActionRate": "gctd3.tasks.motor_terms",
     "Effort": "gctd3.tasks.motor_terms",

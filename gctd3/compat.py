@@ -1,7 +1,7 @@
-"""The only door to other libraries' private names.
+"""All uses of other libraries' private names.
 
-A private name may change with any release. Each function here has a plain name, says whose private name it uses and in
-which version that was last seen, and raises a :class:`CompatError` that names both once it is gone. Nothing heavy is
+A private name may change with any release. Each function here has a plain name, names the private name it uses and the
+version in which that was last seen, and raises a :class:`CompatError` with both once it is gone. Nothing heavy is
 imported: objects of other libraries come as arguments.
 """
 

@@ -18,6 +18,10 @@ class ConfigError(GCTD3Error, ValueError):
     """Report that a setting is unknown, of the wrong type or out of range."""
 
 
+class TermError(GCTD3Error, RuntimeError):
+    """Report that a term of a task raised an error, which is the cause of this one."""
+
+
 class RunError(GCTD3Error, ValueError):
     """Report that a run directory or checkpoint is missing, incomplete or of another version."""
 
@@ -68,6 +72,12 @@ def check_between(settings: object, least: float, most: float, *names: str) -> N
             raise ConfigError(f"{name} must be at least {least:,}, got {value}.")
         if value is not None and not value <= most:
             raise ConfigError(f"{name} must be at most {most:,}, got {value}.")
+
+
+def check_kind(name: str, given: object, kind: type) -> None:
+    """Raise a :class:`ConfigError` unless ``given`` is an object of a class."""
+    if not isinstance(given, kind):
+        raise ConfigError(f"{name} must be a {kind.__name__}, got {given!r}.")
 
 
 def check_seed(name: str, seed: int) -> None:

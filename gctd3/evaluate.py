@@ -1,4 +1,4 @@
-"""Judge a policy: ``python -m gctd3.evaluate run=DIR episodes=50``."""
+"""Evaluate a policy: ``python -m gctd3.evaluate run=DIR episodes=50``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gctd3.config.command_line import command
 
 def _task(config: DictConfig) -> None:
     from gctd3.evaluation.robustness import table as robustness_table
-    from gctd3.runs.judge import (
+    from gctd3.runs.evaluate import (
         EVALUATION,
         ROBUSTNESS,
         ROBUSTNESS_PICTURE,

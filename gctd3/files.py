@@ -1,6 +1,6 @@
 """Files that are written completely or not at all: state as tensors and JSON in one safetensors file, with a checksum.
 
-Nothing here is pickled, so reading a file never runs what it holds.
+Nothing here is pickled, so reading a file never executes code from it.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def save_tree(path: Path, tree: Any) -> str:  # noqa: ANN401 - any nesting
     try:
         save_file(tensors, str(path), metadata={TREE: json.dumps(structure)})
     except SafetensorError as error:
-        # It hides the number of the system's error in a text.
+        # safetensors gives the system's error as text, without its number.
         full = "No space left" in str(error)
         raise OSError(errno.ENOSPC if full else errno.EIO, os.strerror(errno.ENOSPC) if full else str(error)) from error
     _flush(path)
@@ -126,6 +126,28 @@ def new_directory(path: Path) -> Iterator[Path]:
     _flush(path.parent)
 
 
+@contextmanager
+def made(path: Path | None) -> Iterator[None]:
+    """Make a directory, if any, and remove it if the block raises and it is empty."""
+    if path is not None:
+        path.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        if path is not None:
+            remove_empty(path)
+        raise
+
+
+def remove_empty(directory: Path) -> None:
+    """Remove a directory, and those above it in the working directory, while they are empty."""
+    while directory != Path.cwd() and directory.is_dir() and not any(directory.iterdir()):
+        directory.rmdir()
+        directory = directory.parent
+        if Path.cwd() not in directory.parents:
+            return
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically: it holds the old content or the new one, never a part of it."""
     write_bytes(path, text.encode())
@@ -187,10 +209,10 @@ def seal(content: Mapping[str, Any]) -> str:
 def check_file(path: Path, expected: str) -> None:
     """Raise a :class:`RunError` unless ``path`` has the checksum ``expected``."""
     try:
-        found = checksum(path)
+        actual = checksum(path)
     except OSError as error:
         raise RunError(f"{path} cannot be read: {error.strerror}") from error
-    if found != expected:
+    if actual != expected:
         raise RunError(f"{path} is damaged: its checksum does not fit.")
 
 

@@ -1,15 +1,46 @@
-"""Handle Ctrl-C and SIGTERM: the first one lets the step finish, a second one ends the process at once."""
+"""Handle Ctrl-C and SIGTERM: the first one ends a training after its step, and other commands with a line.
+
+A second one ends the process at once.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interruption:
+    """Raise ``KeyboardInterrupt`` at the first SIGINT or SIGTERM, and remember it; the second one ends the process.
+
+    Attributes:
+        signal: The number of the signal, or ``None``.
+    """
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+
+    @property
+    def exit_code(self) -> int:
+        """Return the exit code that a shell reports for a program that the signal ended."""
+        return 128 + (self.signal or signal.SIGINT)
+
+    @contextlib.contextmanager
+    def listening(self) -> Iterator[None]:
+        """Listen for signals inside the context; outside the main thread this does nothing."""
+        with _handled_by(self._heard):
+            yield
+
+    def _heard(self, number: int, frame: FrameType | None) -> None:
+        self.signal = number
+        for each in SIGNALS:
+            signal.signal(each, signal.SIG_DFL)
+        raise KeyboardInterrupt
 
 
 class StopRequest:
@@ -37,18 +68,25 @@ class StopRequest:
     @contextlib.contextmanager
     def listening(self) -> Iterator[None]:
         """Listen for signals inside the context; outside the main thread, or with a file, this does nothing."""
-        if self.file is not None or threading.current_thread() is not threading.main_thread():
+        with contextlib.nullcontext() if self.file is not None else _handled_by(self._heard):
             yield
-            return
-        before = {number: signal.signal(number, self._heard) for number in SIGNALS}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
     def _heard(self, number: int, frame: FrameType | None) -> None:
         self.signal = number
         for each in SIGNALS:
             signal.signal(each, signal.SIG_DFL)
         print("\nFinishing the step to save it; once more leaves at once.", flush=True)
+
+
+@contextlib.contextmanager
+def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Let ``handler`` handle the signals inside the context, where Python lets it: in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, handler) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, earlier in before.items():
+            signal.signal(number, earlier)

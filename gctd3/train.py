@@ -9,22 +9,23 @@ from pathlib import Path
 from gctd3.config.command_line import command
 from gctd3.errors import RunError
 from gctd3.robots.command_line import robot_file
-from gctd3.training.saved_configuration import CONFIG, choices
+from gctd3.training.saved_configuration import CONFIG, HARMLESS, choices
 from gctd3.training.session import train
 
 
 def main() -> None:
     """Run ``python -m gctd3.train``."""
     resumed = [argument.split("=", 1)[1] for argument in sys.argv[1:] if argument.startswith("resume=")]
-    if resumed and resumed[-1] not in ("null", ""):
-        # Hydra's own directory is the run's, so that nothing is written elsewhere; nor made if there is no run.
-        there = (Path(resumed[-1]) / CONFIG).is_file()
-        if there:
-            # A damaged file is told of once Hydra runs.
+    going_on = bool(resumed) and resumed[-1] not in ("null", "")
+    if going_on:
+        # Hydra writes to the run's directory, so that no other one is made; without a run it makes none.
+        exists = (Path(resumed[-1]) / CONFIG).is_file()
+        if exists:
+            # A damaged file is reported once Hydra runs.
             with contextlib.suppress(RunError):
                 sys.argv[1:1] = choices(Path(resumed[-1]), sys.argv[1:])
-        sys.argv.append(f"hydra.run.dir='{resumed[-1] if there else '.'}'")
-    command("config", train, robot_file)
+        sys.argv.append(f"hydra.run.dir='{resumed[-1] if exists else '.'}'")
+    command("config", train, robot_file, HARMLESS[:-1] if going_on else ())
 
 
 if __name__ == "__main__":

@@ -1,11 +1,14 @@
-"""A headless Chromium for tests of pages, which are skipped where there is none or no Playwright."""
+"""Start a headless Chromium for tests of pages; without Playwright or Chromium they are skipped."""
 
 import contextlib
+import importlib
+import importlib.util
 import shutil
 
 import pytest
 
-api = pytest.importorskip("playwright.sync_api", reason="no Playwright")
+if importlib.util.find_spec("playwright") is None:
+    pytest.skip("no Playwright", allow_module_level=True)
 PROGRAM = next(filter(None, map(shutil.which, ("chromium-headless-shell", "chromium", "google-chrome"))), None)
 if PROGRAM is None:
     pytest.skip("no Chromium", allow_module_level=True)
@@ -15,7 +18,8 @@ SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swifts
 
 @contextlib.contextmanager
 def chromium():
-    with api.sync_playwright() as playwright:
+    # Imported where a page is opened: collecting the tests would wait for it.
+    with importlib.import_module("playwright.sync_api").sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=PROGRAM, args=["--no-sandbox", *SOFTWARE])
         yield browser
         browser.close()

@@ -1,4 +1,4 @@
-"""Tasks for tests, composed by a few words: how large each term is, and when episodes end."""
+"""Compose tasks for tests from a few words: the size of each term, and when episodes end."""
 
 from gctd3.envs.factory import build_env
 from gctd3.envs.settings import EnvSettings, LibrarySettings
@@ -23,7 +23,7 @@ SHAPING = {
 
 
 def reward(**changes):
-    """The paper's reward with other terms by name: a term, the size of one of SHAPING, or None."""
+    """Return the paper's reward with other terms by name: a term, the size of one of SHAPING, or None."""
     made = {k: SHAPING[k](v) if isinstance(v, float) else v for k, v in changes.items()}
     return Reward({k: v for k, v in {**paper_terms(), **made}.items() if v is not None})
 
@@ -40,7 +40,7 @@ def walk(
     ends=None,
     **settings,
 ):
-    """The paper's walk that ends at other times, by ``ends`` too, or starts with other noise."""
+    """Return the paper's walk with other terminations, or other noise on its starts."""
     terminations = {
         "fall": Fall(fall_height, fall_tilt),
         "long_contact": LongContact(contact_steps),
@@ -57,22 +57,22 @@ STILL = {"angle_noise": 0.0, "velocity_noise": 0.0}  # every episode starts alik
 
 
 def walking(robot="biped", of=None, **settings):
-    """The walking task on a robot, or on one by its name, under the reward ``of``."""
+    """Return the walking task on a robot, or on one given by name, under the reward ``of``."""
     robot = Robot.from_mjcf(robot) if isinstance(robot, str) else robot
     return WalkingTask(robot, of, walk(**settings))
 
 
 def env_of(task, seed=0, backend="batched", num_envs=4, threads=1, check=False):
-    """An environment of a few robots."""
+    """Make an environment of a few robots."""
     return build_env(task, EnvSettings(backend, num_envs, threads, check), seed)
 
 
 def library_task(library, name, feet=None, forward=None, **options):
-    """A task of another library."""
+    """Make a task of another library."""
     settings = LibrarySettings(library=library, name=name, **options)
-    return settings.build(RobotSettings(feet=feet, forward=forward), Reward())
+    return settings.build(RobotSettings(feet=feet, forward=forward))
 
 
 def library_env(library, name, num_envs=1, seed=0, **options):
-    """An environment of a task of another library."""
+    """Make an environment of a task of another library."""
     return build_env(library_task(library, name, **options), EnvSettings("library", num_envs), seed)

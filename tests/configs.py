@@ -1,4 +1,4 @@
-"""Configurations for tests: as the commands compose them, and with one key changed."""
+"""Compose configurations for tests, as the commands do, and change one key of them."""
 
 import copy
 
@@ -7,13 +7,13 @@ from omegaconf import OmegaConf
 
 
 def composed(*overrides, root="config", missing=False):
-    """What a command composes; ``missing``: keys that must be given may be left out."""
+    """Compose a command's configuration; with ``missing``, required keys may be left out."""
     with initialize_config_module("gctd3.conf", version_base="1.3"):
         return OmegaConf.to_container(compose(root, list(overrides)), resolve=True, throw_on_missing=not missing)
 
 
 def items(node, prefix=""):
-    """Full names and values of all keys but ``_target_``, mappings included."""
+    """Yield full names and values of all keys except ``_target_``, mappings included."""
     for key, value in node.items():
         if key != "_target_":
             yield f"{prefix}{key}", value
@@ -22,7 +22,7 @@ def items(node, prefix=""):
 
 
 def edited(config, key, value=None, rename=None, drop=False):
-    """A copy of ``config`` in which ``key`` has another value or name, or is missing."""
+    """Copy ``config`` with another value or name for ``key``, or without it."""
     config = copy.deepcopy(config)
     *path, last = key.split(".")
     node = config

@@ -1,23 +1,23 @@
-"""What the tests share: the paper's robot, its graph and its task, finished runs, and settings that make every run the
-same."""
+"""Fixtures for all tests: the paper's robot, its graph and its task, finished runs, and reproducible settings."""
 
 import pytest
-import torch
-from finished import Finished
-from hypothesis import settings
-from running import command
 
-from gctd3.robots.graph import KinematicGraph
-from gctd3.robots.robot import Robot
-from gctd3.tasks.walk import WalkingTask
+# Nothing heavy is imported here: the process that hands out the tests reads this file before the others can begin.
 
-# Derandomised, so that a failure seen once is seen by everybody; no deadline, since machines differ.
-settings.register_profile("gctd3", deadline=None, derandomize=True)
-settings.load_profile("gctd3")
+
+def pytest_collection():
+    """Only where tests are run: the process that hands them out collects none."""
+    from hypothesis import settings
+
+    # Derandomised, so that a failure seen once is seen by everybody; no deadline, since machines differ.
+    settings.register_profile("gctd3", deadline=None, derandomize=True)
+    settings.load_profile("gctd3")
 
 
 @pytest.fixture(autouse=True)
 def _seed():
+    import torch
+
     torch.manual_seed(0)
     # Sums in another order differ in the last bit.
     torch.set_num_threads(1)
@@ -25,26 +25,38 @@ def _seed():
 
 @pytest.fixture(scope="session")
 def robot():
+    from gctd3.robots.robot import Robot
+
     return Robot.from_mjcf("biped")
 
 
 @pytest.fixture(scope="session")
 def graph(robot):
+    from gctd3.robots.graph import KinematicGraph
+
     return KinematicGraph.from_robot(robot)
 
 
 @pytest.fixture(scope="session")
 def task(robot):
+    from gctd3.tasks.walk import WalkingTask
+
     return WalkingTask(robot)
 
 
 @pytest.fixture(scope="session")
-def finished(request, tmp_path_factory):
-    """Finished tiny runs by name: ``finished["gctd3"]`` to be read, ``finished.copy("gctd3", to)`` to be changed."""
+def shared_folder(request, tmp_path_factory):
+    """Return the session's folder, in which the processes of pytest-xdist have folders of their own."""
     folder = tmp_path_factory.getbasetemp()
-    # The processes of pytest-xdist have folders of their own in the session's.
-    folder = folder.parent if hasattr(request.config, "workerinput") else folder
-    return Finished(folder / "finished")
+    return folder.parent if hasattr(request.config, "workerinput") else folder
+
+
+@pytest.fixture(scope="session")
+def finished(shared_folder):
+    """Finished tiny runs by name: ``finished["gctd3"]`` to be read, ``finished.copy("gctd3", to)`` to be changed."""
+    from finished import Finished
+
+    return Finished(shared_folder / "finished")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -54,10 +66,14 @@ def _shared_runs_are_left_alone(finished):
 
 
 @pytest.fixture(scope="session")
-def exported(tmp_path_factory):
-    """The ONNX file of the policy that ships with the library; its contract is beside it."""
+def exported(shared_folder):
+    """Return the ONNX file of the policy that ships with the library, to be read only; its contract is beside it."""
     pytest.importorskip("onnxscript")
     pytest.importorskip("onnxruntime")
-    file = tmp_path_factory.mktemp("exported") / "policy.onnx"
-    assert command("export", f"out={file}", "episodes=2", "threads=1") == 0
-    return file
+    from finished import once
+    from running import command
+
+    def export(folder):
+        assert command("export", f"out={folder / 'policy.onnx'}", "episodes=2", "threads=1") == 0
+
+    return once(shared_folder / "exported", export) / "policy.onnx"

@@ -4,10 +4,10 @@ import numpy as np
 
 
 def signal(text):
-    """A contact signal: ``#`` is down, ``.`` is up."""
+    """Convert a text to a contact signal: ``#`` is down, ``.`` is up."""
     return np.array([mark == "#" for mark in text.replace(" ", "")])
 
 
 def square(period, steps, duty=0.6, shift=0):
-    """Down for ``duty`` of every ``period`` samples."""
+    """Make a contact signal that is down for ``duty`` of every ``period`` samples."""
     return (np.arange(steps) + shift) % period < duty * period

@@ -9,11 +9,11 @@ def linear(network):
 
 
 def parameters(algorithm, model):
-    """By name: a parameter of ours, those of theirs that hold the same numbers, and how these are put together."""
+    """Return, by name, our parameter, their parameters with the same numbers, and the function that joins these."""
     found = {}
 
     def add(name, params, layers, join):
-        mine = [value for _, value in sorted(params.flatten_keys(".").items())]  # of each layer the bias, the weight
+        mine = [value for _, value in sorted(params.flatten_keys(".").items())]  # each layer's bias, then its weight
         theirs = [[getattr(part, kind) for part in layer] for layer in layers for kind in ("bias", "weight")]
         found.update({f"{name}.{i}": (*pair, join) for i, pair in enumerate(zip(mine, theirs, strict=True))})
 
@@ -23,7 +23,7 @@ def parameters(algorithm, model):
         layers = list(zip(*map(linear, critics.q_networks), strict=True))
         add(f"{prefix}critic", getattr(loss, prefix + critic), layers, torch.stack if twins else torch.cat)
     if hasattr(loss, "log_alpha"):
-        # One layer of ours gives mean and deviation, two of theirs.
+        # Mean and deviation come from one layer of ours and two of theirs.
         layers = [*([layer] for layer in linear(model.actor.latent_pi)), [model.actor.mu, model.actor.log_std]]
         add("actor", loss.actor_network_params, layers, torch.cat)
         found["alpha"] = loss.log_alpha, [model.log_ent_coef], lambda values: values[0].squeeze()

@@ -1,4 +1,4 @@
-"""Train a few tiny runs once per test session, for the tests that need a finished run and not its training."""
+"""Make once per test session what many tests need: a few tiny runs, for those that need no training of their own."""
 
 import contextlib
 import io
@@ -32,10 +32,26 @@ RUNS = {
 }
 
 
-class Finished:
-    """Finished runs by the names in ``RUNS``, each trained by whoever asks for it first.
+def once(directory, make):
+    """What ``make`` puts into a folder below ``directory`` when this is first asked for; that folder.
 
-    Test processes of one session share the folder: a lock on disk makes the others wait for the first.
+    Test processes of one session share the directory: a lock on disk makes the others wait for the first.
+    """
+    made, whole = directory / "made", directory / "whole"
+    directory.mkdir(parents=True, exist_ok=True)
+    with FileLock(directory / "lock"):
+        if not whole.exists():
+            # What failed, or was killed, must not be taken for something finished.
+            shutil.rmtree(made, ignore_errors=True)
+            made.mkdir()
+            with undisturbed():
+                make(made)
+            whole.touch()
+    return made
+
+
+class Finished:
+    """Hold finished runs by the names in ``RUNS``, each trained for the first test that asks for it.
 
     Args:
         folder: Holds the runs.
@@ -45,27 +61,19 @@ class Finished:
         self.folder, self.handed_out = folder, {}
 
     def __getitem__(self, name):
-        """The run's directory, to be read only: other tests read it as well."""
-        directory = self.folder / name.replace(" ", "_")
-        run, whole = directory / "run", directory / "whole"
-        directory.mkdir(parents=True, exist_ok=True)
-        with FileLock(directory / "lock"):
-            if not whole.exists():
-                # A training that failed, or was killed, must not be taken for a finished one.
-                shutil.rmtree(run, ignore_errors=True)
-                overrides, without = RUNS[name]
-                with undisturbed():
-                    train(run, *overrides, without=without)
-                whole.touch()
+        """Return the run's directory, only to be read: other tests read it as well."""
+        overrides, without = RUNS[name]
+        folder = once(self.folder / name.replace(" ", "_"), lambda to: train(to / "run", *overrides, without=without))
+        run = folder / "run"
         self.handed_out.setdefault(name, (run, contents(run)))
         return run
 
     def copy(self, name, to):
-        """A copy at ``to``, for a test that changes the run."""
+        """Copy the run to ``to``, for a test that changes it."""
         return Path(shutil.copytree(self[name], to))
 
     def check(self):
-        """Fail if a run that was handed out is not as it was."""
+        """Fail if a run that was handed out has changed."""
         handed_out, self.handed_out = self.handed_out, {}
         for name, (run, before) in handed_out.items():
             if contents(run) != before:
@@ -73,7 +81,7 @@ class Finished:
 
 
 def contents(run):
-    """Size and time of change of every file by its path."""
+    """Return size and time of change of every file, by path."""
     found = {}
     for here, _, files in os.walk(run):
         for name in files:
@@ -84,7 +92,7 @@ def contents(run):
 
 @contextlib.contextmanager
 def undisturbed():
-    """Leave random numbers and output as if nothing happened here: which test trains a run is chance."""
+    """Restore random numbers and output: which test trains a run depends on chance."""
     states = random.getstate(), np.random.get_state(), torch.get_rng_state(), torch.get_num_threads()
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):

@@ -1,4 +1,4 @@
-"""What fuzz tests share: a damaged copy of anything, and a command that has to answer."""
+"""Fuzz: damage a copy of anything, and run a command that has to answer."""
 
 import contextlib
 import io
@@ -15,7 +15,7 @@ SECONDS = 60  # after which a command counts as hanging
 
 
 class Hang(BaseException):
-    """A command took too long; no handler of the library may catch it."""
+    """Report that a command took too long; no handler of the library may catch it."""
 
 
 @contextlib.contextmanager
@@ -33,14 +33,14 @@ def time_limit(seconds=SECONDS):
 
 
 class Idle(Recorded):
-    """A trainer that is built and restored, and does not train."""
+    """Build and restore a trainer, without training."""
 
     def run(self, stop=None):
         return None
 
 
 def answered(name, *arguments):
-    """Run a command; 0 after success, 2 after one clean message. Anything else is a defect."""
+    """Run a command; return 0 after success, 2 after one clean message, and fail on anything else."""
     out, error = io.StringIO(), io.StringIO()
     with time_limit(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
         code = command(name, *arguments, trainer=Idle)
@@ -54,7 +54,7 @@ def answered(name, *arguments):
 
 
 def clean(call):
-    """Call the library; whether it succeeded. Only its own errors may come."""
+    """Call the library and return whether it succeeded; only its own errors are allowed."""
     with time_limit(), contextlib.redirect_stderr(io.StringIO()):
         try:
             call()
@@ -66,7 +66,7 @@ def clean(call):
 
 @st.composite
 def damages(draw):
-    """A function from bytes to damaged bytes."""
+    """Return a function from bytes to damaged bytes."""
     kind = draw(st.sampled_from(["flip", "cut", "drop", "insert", "zero"]))
     where, what = draw(st.floats(0, 1, exclude_max=True)), draw(st.integers(1, 255))
     count = draw(st.integers(1, 40))
@@ -93,11 +93,11 @@ def damages(draw):
 
 
 def tree(folder):
-    """Every path below a folder."""
+    """Return every path below a folder."""
     return {os.path.join(here, name) for here, folders, files in os.walk(folder) for name in (*folders, *files)}
 
 
 def fresh(source, target):
-    """A new copy of a directory."""
+    """Make a new copy of a directory."""
     shutil.rmtree(target, ignore_errors=True)
     return type(target)(shutil.copytree(source, target))

@@ -1,4 +1,4 @@
-"""Hand-made and random measurements of a biped, and walks made of them."""
+"""Make up measurements of a biped, by hand and at random, and walks of them."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ RIGHT, LEFT = 0, 1
 
 
 def sense(y=0.0, z=0.0, v=0.0, hips=(0.1, -0.1), feet=(True, False), other=False):
-    """One biped's measurement; joints in the MJCF's order: right hip, knee, ankle, then the left ones."""
+    """Make one biped's measurement; joints in the MJCF's order: right hip, knee, ankle, then the left ones."""
     return Measurement(
         position=np.array(y),
         height=np.array(z),
@@ -25,7 +25,7 @@ def sense(y=0.0, z=0.0, v=0.0, hips=(0.1, -0.1), feet=(True, False), other=False
 
 
 def walk(task, *measurements):
-    """Begin with the first measurement and advance by the others: the last memory, and all outcomes."""
+    """Begin with the first measurement, advance by the others, and return the last memory and all outcomes."""
     memory, outcomes = task.begin(measurements[0]), []
     for now in measurements[1:]:
         memory, outcome = task.advance(memory, now)
@@ -38,7 +38,7 @@ def values(outcome):
 
 
 def random_walk(rng, steps, shape):
-    """Measurements that cross every threshold of the reward now and then."""
+    """Draw measurements that cross every threshold of the reward now and then."""
     return [
         Measurement(
             position=rng.uniform(0.0, 15.2, shape),

@@ -1,4 +1,4 @@
-"""Losses for tests: ours and TorchRL's side by side, on networks of other people's layers."""
+"""Make losses for tests: ours and TorchRL's side by side, on networks of plain layers."""
 
 import copy
 
@@ -33,7 +33,7 @@ class ValueClass(nn.Module):
 
 @stackable_network
 class Quadratic(nn.Module):
-    """A critic of one's own that takes stacked parameters: (w . [obs, act])^2, for any batch."""
+    """Define a critic outside the library that takes stacked parameters: (w . [obs, act])^2, for any batch."""
 
     def __init__(self):
         super().__init__()
@@ -88,7 +88,7 @@ def data(batch):
 
 
 def make(library, name, actor, critics, *more, estimator=ValueEstimators.TD0, **settings):
-    """A loss on copies of the networks, made from the same seed."""
+    """Make a loss on copies of the networks, from the same seed."""
     kind = getattr(library, name)
     extra = {"bounds": (-1.0, 1.0)} if name == "TD3Loss" else {"target_entropy": -float(N_ACT)}
     torch.manual_seed(2)  # of a single critic TorchRL draws several
@@ -104,7 +104,7 @@ def make(library, name, actor, critics, *more, estimator=ValueEstimators.TD0, **
 
 
 def results(loss, batch):
-    """What the loss says, what it writes, and the gradients of each of its terms."""
+    """Return the loss dictionary, the written keys, and the gradients of each term."""
     written = batch.clone()
     torch.manual_seed(4)
     out = loss(written)

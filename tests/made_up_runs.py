@@ -4,7 +4,7 @@ import json
 
 
 def make(root, name, returns=500.0, *, overrides=(), evaluation=True, change=None, success=1.0):
-    """A run as gctd3.train leaves it, without its policy."""
+    """Make a run as gctd3.train leaves it, without its policy."""
     run = root / name
     config = {
         "seed": int(name[-1]),
@@ -26,18 +26,18 @@ def make(root, name, returns=500.0, *, overrides=(), evaluation=True, change=Non
     lines = ["frames,wall_s,return_mean,success_rate,train_episodes", f"1000,60,5.0,0.0,7\n2000,120,{returns},1.0,9\n"]
     (run / "progress.csv").write_text("\n".join(lines))
     if evaluation:
-        judged = {"return_mean": returns, "velocity_mean": 1.2, "success_rate": success, "body_position_mean": 0.01}
-        judged["gait"] = {"episodes": 50, "flight_fraction": 0.25, "floquet_max": None, "asymmetry_hip_right": 0.02}
-        (run / "evaluation.json").write_text(json.dumps(judged))
+        evaluated = {"return_mean": returns, "velocity_mean": 1.2, "success_rate": success, "body_position_mean": 0.01}
+        evaluated["gait"] = {"episodes": 50, "flight_fraction": 0.25, "floquet_max": None, "asymmetry_hip_right": 0.02}
+        (run / "evaluation.json").write_text(json.dumps(evaluated))
     return run
 
 
 def examined(run, success, impulses, phases=(4.0, 2.0)):
-    """What ``robustness=true`` leaves."""
+    """Write the results that ``robustness=true`` leaves."""
     found = {
         "perturbations": {"impulses": impulses, "starts": 3, "recover": 3.0},
         "mass_kg": 10.0,
         "conditions": {"as trained": {"success_rate": 1.0}, "mass +20 %": {"success_rate": success}},
-        "shoves": {"largest": {"forward": list(phases), "backward": [None, 4.0]}},
+        "pushes": {"largest": {"forward": list(phases), "backward": [None, 4.0]}},
     }
     (run / "robustness.json").write_text(json.dumps(found))

@@ -1,4 +1,4 @@
-"""Reads paths of MJCF files from stdin, says for each what came of it: MuJoCo's compiler may end its process."""
+"""Read paths of MJCF files from stdin and report each outcome, in a process that MuJoCo's compiler may end."""
 
 import sys
 

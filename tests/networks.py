@@ -1,4 +1,4 @@
-"""Networks for tests: one with each option, and one with all."""
+"""Make networks for tests: one with each option, and one with all."""
 
 import torch
 from torch import nn
@@ -21,7 +21,7 @@ NETWORKS = {
 
 
 def randomised(module: nn.Module) -> nn.Module:
-    """Biases and norms away from their zeros and ones, where a mistake with them would not show."""
+    """Move biases and norms away from their zeros and ones, where a mistake with them would not show."""
     with torch.no_grad():
         for parameter in module.parameters():
             parameter.add_(0.05 * torch.randn_like(parameter))

@@ -1,6 +1,6 @@
-"""Terms of one's own, as a package beside the library has them: right ones, and one for each way to be wrong."""
+"""Define terms outside the library: valid ones, and one for each way to be wrong."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -216,3 +216,76 @@ class FlatCommand(Command):
 
     def __call__(self, rng, count):
         return rng.random(count)
+
+
+@dataclass(frozen=True)
+class Failing(RewardTerm):
+    """Look for the fourth item of an empty list."""
+
+    def __call__(self, step):
+        return [][3]
+
+
+@dataclass(frozen=True)
+class FailingLater(Termination):
+    """Work when it is tried, and fail in the third step of an episode."""
+
+    def __call__(self, step):
+        if (step.after["step"] > 2).any():
+            raise OSError(5, "the sensor is gone")
+        return step.now.velocity > 100.0
+
+
+@dataclass(frozen=True)
+class FeetDown(NodeFeature):
+    """Count the feet on the ground, as a reading of any name and quantity."""
+
+    kind: ClassVar[str] = "root"
+    quantity: str = "contact"
+    reading: str = "feet_down"
+
+    def readings(self, robot, nodes):
+        return [[Reading(self.reading, "feet on the ground", self.quantity)]]
+
+    def __call__(self, sensed):
+        return sensed.now.feet_down.sum(axis=-1)[..., None, None]
+
+
+@dataclass(frozen=True)
+class Nowhere(NodeFeature):
+    """Do not say of which nodes it is a feature."""
+
+    def readings(self, robot, nodes):
+        return [[] for _ in nodes]
+
+    def __call__(self, sensed):
+        return sensed.now.height
+
+
+@dataclass(frozen=True)
+class Unread(FeetDown):
+    """Say nothing of its readings."""
+
+    def readings(self, robot, nodes):
+        return None
+
+
+@dataclass(frozen=True)
+class Listed(Remembers):
+    """Take a list and a mapping of anything."""
+
+    speeds: list = field(default_factory=list)
+    by_name: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        assert type(self.speeds) is list
+        if 3 in self.speeds:
+            raise ArithmeticError("no three")
+
+
+@dataclass(frozen=True)
+class FailingAtOnce(Remembers):
+    """Work for the two robots with which it is tried, and for no others."""
+
+    def __call__(self, step):
+        return step.xp.zeros_like(step.now.velocity) + np.zeros(2)

@@ -1,4 +1,4 @@
-"""Networks of PyTorch's own layers, as somebody writes them who does not know gctd3's, and algorithms for them."""
+"""Define networks of PyTorch's own layers without gctd3's, and algorithms for them."""
 
 from dataclasses import dataclass
 
@@ -84,7 +84,7 @@ class PlainDDPG(Plain, DDPGSettings):
 
 @dataclass(frozen=True)
 class PlainHead(Network):
-    """Our encoders, and fully connected layers of PyTorch's."""
+    """Combine our encoders with fully connected layers of PyTorch."""
 
     def head(self, in_features, out_features):
         return layers(in_features, out_features)

@@ -1,4 +1,4 @@
-"""Stopping a training in a test, and comparing two runs in all that they have kept."""
+"""Stop a training in a test, and compare two runs in everything that they saved."""
 
 import torch
 from running import TINY, Recorded, command, rows, tiny
@@ -10,7 +10,7 @@ TIMED = ("wall_s",)
 
 
 class StopAfter:
-    """Asks to stop once a training has so many frames."""
+    """Ask a training to stop once it has so many frames."""
 
     def __init__(self, trainer, frames):
         self.trainer, self.frames = trainer, frames
@@ -20,7 +20,7 @@ class StopAfter:
 
 
 def stopped(directory, frames, *overrides, without=()):
-    """A run that was stopped after ``frames``."""
+    """Return a run that was stopped after ``frames``."""
 
     class Stopped(Recorded):
         def run(self, stop=None):
@@ -31,7 +31,7 @@ def stopped(directory, frames, *overrides, without=()):
 
 
 def final_state(run):
-    """The whole state in the newest checkpoint, replay rows included."""
+    """Return the whole state in the newest checkpoint, replay rows included."""
     state, parts = Checkpoints(run).newest()
     parts = list(parts)
     # Older parts may begin before the ring does.

@@ -1,4 +1,4 @@
-"""Robots for tests that the library does not ship."""
+"""Make robots for tests that the library does not ship."""
 
 from pathlib import Path
 
@@ -38,7 +38,7 @@ FREE_LEGS = TWO_LEGS.replace(
 
 
 def opposite_axes(biped, folder):
-    """The biped with the axes of its left joints turned round: equal motions of both legs have opposite angles."""
+    """Turn the axes of the biped's left joints round: equal motions of both legs have opposite angles."""
     text = biped.path.read_text()
     for joint, limits in (("hip", "-0.7854 0.7854"), ("knee", "-0.0012 1.3962"), ("ankle", "-0.7854 0.7854")):
         for tag, new in (("joint", f'axis="0 1 0" range="{limits}"'), ("position", f'ctrlrange="{limits}"')):

@@ -1,4 +1,4 @@
-"""Running the commands in a test: tiny trainings, in this process or in one of their own."""
+"""Run the commands in a test: tiny trainings, in this process or in one of their own."""
 
 import copy
 import csv
@@ -8,6 +8,7 @@ import sys
 import time
 
 import pytest
+from hydra._internal.hydra import Hydra
 
 from gctd3.training import trainer as trainer_module
 from gctd3.training.trainer import Trainer
@@ -30,7 +31,7 @@ TINY = {
 
 
 class Recorded(Trainer):
-    """A trainer that keeps a copy of every policy that it evaluated, by frames, for the test to look at."""
+    """Train, and keep a copy of every evaluated policy, by frames."""
 
     last = None
 
@@ -45,12 +46,15 @@ class Recorded(Trainer):
 
 
 def command(name, *arguments, trainer=None):
-    """``python -m gctd3.NAME ARGUMENTS`` in this process; its exit code."""
+    """Run ``python -m gctd3.NAME ARGUMENTS`` in this process; return its exit code."""
     with pytest.MonkeyPatch.context() as patch:
-        # Hydra's logging would close the streams of the handlers that are there, and absl's has pytest's.
+        # Hydra's logging would close the streams of existing handlers, and absl's handler has pytest's stream.
         quiet = ["hydra/job_logging=none", "hydra/hydra_logging=none"]
         patch.setattr(sys, "argv", [f"gctd3.{name}", *map(str, arguments), *quiet])
         patch.setattr(trainer_module, "Trainer", trainer or Recorded)
+        # Hydra would compose everything once more, only to learn whether hydra.mode asks for a sweep, and take any
+        # failure for a no. In processes of their own the commands do so.
+        patch.setattr(Hydra, "get_mode", lambda *_, **__: None)
         try:
             importlib.import_module(f"gctd3.{name}").main()
         except SystemExit as end:
@@ -59,7 +63,7 @@ def command(name, *arguments, trainer=None):
 
 
 def process(name, *arguments):
-    """The same in a process of its own."""
+    """Run the same in a process of its own."""
     return subprocess.run([sys.executable, "-m", f"gctd3.{name}", *arguments], capture_output=True, text=True)
 
 

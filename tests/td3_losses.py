@@ -43,7 +43,7 @@ def batch(privileged_dim=0):
 
 
 def move_targets(loss):
-    """Targets that differ from what they follow, equally in every loss."""
+    """Move targets away from their sources, equally in every loss."""
     generator = torch.Generator().manual_seed(7)
     for name in LEARNT:
         learnt, target = (getattr(loss, prefix + name).flatten_keys(".") for prefix in ("", "target_"))
@@ -63,7 +63,7 @@ def gradients(loss):
 
 
 def run(loss, data, key):
-    """The loss dictionary, and the gradients of one of its terms."""
+    """Return the loss dictionary, and the gradients of one of its terms."""
     loss.zero_grad()
     torch.manual_seed(11)  # of the target's noise
     out = loss(data.clone())

@@ -21,12 +21,12 @@ def build(name, network=GCN, privileged_dim=PRIVILEGED, architecture=Architectur
 
 
 def goal(nodes):
-    """The best action; it takes both outer nodes to know it."""
+    """Return the best action, which depends on both outer nodes."""
     return 0.8 * torch.tanh(nodes[..., 0, :1] - nodes[..., 2, :1])
 
 
 def batch(size=64):
-    """One-step episodes whose reward is minus the squared distance from the best action."""
+    """Make one-step episodes whose reward is minus the squared distance from the best action."""
     nodes, action = torch.randn(size, 3, 2), 2 * torch.rand(size, 1) - 1
     end = torch.ones(size, 1, dtype=torch.bool)
     following = {"nodes": torch.randn(size, 3, 2), "counters": torch.randn(size, PRIVILEGED)}
@@ -36,7 +36,7 @@ def batch(size=64):
 
 
 def going_on(size=64):
-    """A batch in which no episode ends."""
+    """Make a batch in which no episode ends."""
     data = batch(size)
     for key in ("terminated", "done"):
         data["next", key].zero_()

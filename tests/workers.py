@@ -1,4 +1,4 @@
-"""Settings of few workers, and what every kind of worker has to do."""
+"""Make settings of a few workers, and check the duties of every kind of worker."""
 
 import copy
 
@@ -23,7 +23,7 @@ def tiny_settings(*overrides):
 
 
 def check_that_it_acts_with_the_weights_that_it_is_sent(start, robot):
-    """A worker that ``start`` makes of a job; its last weights."""
+    """Check that a worker, made by ``start`` from a job, acts with the weights it is sent; return its last weights."""
     settings = tiny_settings("exploration.learning_starts=0", "exploration.noise=null")
     actor = settings.algo.build(settings.setup().architecture()).actor
     share = slice(2, 5)

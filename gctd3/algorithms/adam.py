@@ -22,14 +22,14 @@ class Adam(torch.optim.Adam):
         lr: Learning rate.
     """
 
-    _found: _Found | None = None
+    _updated: _Updated | None = None
 
     def __init__(self, parameters: Iterable[nn.Parameter], lr: float) -> None:
         super().__init__(list(parameters), lr=lr, fused=True)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)  # type: ignore[no-untyped-call]
-        self._found = None
+        self._updated = None
 
     def zero_grad(self, set_to_none: bool = True) -> None:
         """Reset the gradients: to ``None``, or to zero without ``set_to_none``."""
@@ -41,23 +41,23 @@ class Adam(torch.optim.Adam):
 
     def step(self, closure: Callable[[], Any] | None = None) -> Any:  # noqa: ANN401 - PyTorch's
         """Take one optimisation step."""
-        found = self._found
-        if closure is not None or found is None or found.changed():
+        updated = self._updated
+        if closure is not None or updated is None or updated.changed():
             loss = super().step(closure)
             self._find()
             return loss
-        gradients: list[Any] = [parameter.grad for parameter in found.moved]
-        adam_step(found.moved, gradients, *found.state, self.param_groups[0])
+        gradients: list[Any] = [parameter.grad for parameter in updated.moved]
+        adam_step(updated.moved, gradients, *updated.state, self.param_groups[0])
         return None
 
     def _find(self) -> None:
         parameters = self.param_groups[0]["params"]
         moved = [p for p in parameters if p.grad is not None]
         first, second, steps = ([self.state[p][key] for p in moved] for key in ("exp_avg", "exp_avg_sq", "step"))
-        self._found = _Found(moved, [p for p in parameters if p.grad is None], (first, second, steps))
+        self._updated = _Updated(moved, [p for p in parameters if p.grad is None], (first, second, steps))
 
 
-class _Found(NamedTuple):
+class _Updated(NamedTuple):
     """Hold the parameters with gradients at the last step and their state, and the parameters without."""
 
     moved: list[Tensor]

@@ -1,1 +1,1 @@
-"""Comparison: many runs read, put into groups, judged by statistics, and written as one page."""
+"""Comparison: many runs read, put into groups, compared by statistics, and written as one page."""

@@ -10,7 +10,7 @@ from gctd3.comparison.groups import typical, with_trace
 from gctd3.comparison.runs import READ, Run
 from gctd3.errors import RunError
 from gctd3.files import new_directory
-from gctd3.runs.judge import TRACE
+from gctd3.runs.evaluate import TRACE
 from gctd3.training.saved_configuration import CONFIG
 
 FOLDER = "runs"
@@ -20,12 +20,12 @@ def check_keep(runs: Path, out: Path) -> None:
     """Refuse to copy runs to a path that exists already, or to one where the next report would find them twice.
 
     Raises:
-        RunError: If so.
+        RunError: If the path exists already, or lies below ``runs``.
     """
     if (out / FOLDER).exists():
         raise RunError(f"{out / FOLDER} exists already: remove it, or choose another out, for keep_runs=true.")
     if out.resolve().is_relative_to(runs.resolve()):
-        raise RunError(f"out={out} is below runs={runs}, whose next report would find what keep_runs=true keeps there.")
+        raise RunError(f"out={out} is below runs={runs}, whose next report would find the copies of keep_runs=true.")
 
 
 def keep(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = ()) -> None:

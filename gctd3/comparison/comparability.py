@@ -6,12 +6,13 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 
 from gctd3.comparison.runs import Run
+from gctd3.config.build import again
 from gctd3.errors import RunError
-from gctd3.evaluation.settings import Judging
-from gctd3.runs.judge import EVALUATION, ROBUSTNESS
+from gctd3.evaluation.settings import EpisodeSettings
+from gctd3.runs.evaluate import EVALUATION, ROBUSTNESS
 from gctd3.training.checkpoint import FOLDER
 
-# Keys that must be equal for numbers to be comparable, by the name of what they set.
+# Keys that must be equal for numbers to be comparable, by the name of the subject.
 TOGETHER = {
     "robot": tuple(f"robot.{key}" for key in ("name", "source", "root", "feet", "forward", "pose", "hold", "servos")),
     "task": ("task._target_", "task.library", "task.name", "task.control_dt", "task.randomisations", "task.commands"),
@@ -26,7 +27,7 @@ def check_together(runs: Sequence[Run]) -> None:
     """Refuse runs whose numbers are not comparable.
 
     Raises:
-        RunError: If they differ in robot, task, evaluation reward or terminations; it says which, and in what.
+        RunError: If they differ in robot, task, evaluation reward or terminations; the message lists how.
     """
     problems = []
     for what, keys in TOGETHER.items():
@@ -40,10 +41,10 @@ def check_together(runs: Sequence[Run]) -> None:
             problems += [f"  {what}, {key}: {_spread(by_value.values(), key)}" for key in differing]
     rewards = {json.dumps(r.evaluation["reward"], sort_keys=True) for r in runs if r.evaluation and _reward(r)}
     if len(rewards) > 1:
-        problems.append(f"  the reward under which {EVALUATION} judges; evaluate them again under one")
+        problems.append(f"  the reward of {EVALUATION}; evaluate them again under one")
     tried = {json.dumps(run.robustness["perturbations"], sort_keys=True) for run in runs if run.robustness}
     if len(tried) > 1:
-        problems.append(f"  what {ROBUSTNESS} tried; examine them again with the same perturbations")
+        problems.append(f"  the perturbations of {ROBUSTNESS}; examine them again with the same perturbations")
     if problems:
         raise RunError("These runs do not belong in one report; they differ in\n" + "\n".join(problems))
 
@@ -53,58 +54,62 @@ def _reward(run: Run) -> bool:
 
 
 def _spread(sets: Iterable[list[Run]], key: str) -> str:
-    found: dict[str, list[str]] = {}
+    names_by_value: dict[str, list[str]] = {}
     for runs in sets:
-        found.setdefault(str(runs[0].config.get(key)), []).extend(run.name for run in runs)
-    return "; ".join(f"{value} in {', '.join(names[:3])}{', ...' * (len(names) > 3)}" for value, names in found.items())
+        names_by_value.setdefault(str(runs[0].config.get(key)), []).extend(run.name for run in runs)
+    return "; ".join(
+        f"{value} in {', '.join(names[:3])}{', ...' * (len(names) > 3)}" for value, names in names_by_value.items()
+    )
 
 
-def check_judging(runs: Sequence[Run], judging: Judging) -> None:
+def check_episodes(runs: Sequence[Run], settings: EpisodeSettings) -> None:
     """Refuse runs that were, or would be, evaluated over other episodes than most of them.
 
     Args:
         runs: The runs.
-        judging: Settings for the runs that have no evaluation yet.
+        settings: Settings for the runs that have no evaluation yet.
 
     Raises:
-        RunError: If there are such; it says which, and what judges them alike.
+        RunError: If some were; the message names them, and how to evaluate them alike.
     """
-    by_judging: dict[Episodes, list[Run]] = {}
+    by_episodes: dict[Episodes, list[Run]] = {}
     for run in runs:
         if run.evaluation is not None:
-            by_judging.setdefault(_judging(run.evaluation), []).append(run)
+            by_episodes.setdefault(_episodes_of(run.evaluation), []).append(run)
     new = [run for run in runs if run.evaluation is None and any((run.directory / FOLDER).glob("best-*"))]
-    if len(by_judging) + bool(new) < 2:
+    if len(by_episodes) + bool(new) < 2:
         return
-    asked = judging.episodes, judging.seed
-    most = max(by_judging, key=lambda how: (None not in how, len(by_judging[how]), how[0] or 0))
+    asked = settings.episodes, settings.seed
+    most = max(by_episodes, key=lambda how: (None not in how, len(by_episodes[how]), how[0] or 0))
     wanted = asked if None in most else most
-    others = [run for how, members in by_judging.items() if how != wanted for run in members]
+    others = [run for how, members in by_episodes.items() if how != wanted for run in members]
     unlike = bool(new) and asked != wanted
     if not others and not unlike:
         return
-    lines = [f"  {_said(*how)}: {', '.join(run.name for run in members)}" for how, members in by_judging.items()]
+    lines = [
+        f"  {_episodes_text(*how)}: {', '.join(run.name for run in members)}" for how, members in by_episodes.items()
+    ]
     if new:
         names = ", ".join(run.name for run in new)
-        lines.append(f"  not yet judged, now to be over {_said(*asked)}: {names}")
-    chosen = f"episodes={wanted[0]} seed={wanted[1]}"
-    remedies = [f"  python -m gctd3.evaluate run={run.directory} {chosen}" for run in others]
+        lines.append(f"  not yet evaluated, now to be over {_episodes_text(*asked)}: {names}")
+    chosen = f"episodes={wanted[0]}", f"seed={wanted[1]}"
+    remedies = [f"  {again(run.config, 'evaluate', f'run={run.directory}', *chosen)}" for run in others]
     if unlike:
-        remedies.append(f"  the report's own command with {chosen}")
+        remedies.append(f"  the report's own command with {' '.join(chosen)}")
     raise RunError(
-        "These runs were not judged over the same episodes, so their numbers cannot be compared:\n"
-        + "\n".join([*lines, "What judges them alike:", *remedies])
+        "These runs were not evaluated over the same episodes, so their numbers cannot be compared:\n"
+        + "\n".join([*lines, "To evaluate them alike:", *remedies])
     )
 
 
-def _judging(evaluation: Mapping[str, object]) -> Episodes:
+def _episodes_of(evaluation: Mapping[str, object]) -> Episodes:
     seeds = evaluation.get("seeds")
-    found = evaluation.get("episodes"), seeds.get("evaluation") if isinstance(seeds, Mapping) else None
-    episodes, seed = (value if isinstance(value, int) else None for value in found)
+    values = evaluation.get("episodes"), seeds.get("evaluation") if isinstance(seeds, Mapping) else None
+    episodes, seed = (value if isinstance(value, int) else None for value in values)
     return episodes, seed
 
 
-def _said(episodes: int | None, seed: int | None) -> str:
+def _episodes_text(episodes: int | None, seed: int | None) -> str:
     number = "an unknown number of episodes" if episodes is None else f"{episodes} episode{'s' * (episodes != 1)}"
     return f"{number} from starts of {'an unknown seed' if seed is None else f'seed {seed}'}"
 
@@ -113,7 +118,7 @@ def check_seeds(groups: Mapping[str, Sequence[Run]]) -> None:
     """Refuse groups that contain a seed twice, which would count as two seeds.
 
     Raises:
-        RunError: If there is one; it says which, and where.
+        RunError: If a group contains a seed twice; the message names the runs.
     """
     problems = []
     for group, runs in groups.items():

@@ -67,14 +67,14 @@ def uneven(groups: Mapping[str, Sequence[Run]]) -> list[str]:
 
     Their configurations are the same, so the machine caused it: its threads, another program, or a pause.
     """
-    found = []
+    lines = []
     for group, runs in groups.items():
         apart = [_same_work(*pair) for pair in combinations([run for run in runs if not run.trouble], 2)]
         known = [(slow / fast, fast, slow, frames) for fast, slow, frames in apart if fast > 0.0]
         ratio, fast, slow, frames = max(known, default=(0.0, 0.0, 0.0, 0.0))
         if ratio > SPREAD:
-            found.append(f"{frames:,.0f} frames took {duration(fast)} and {duration(slow)} in {group}")
-    return found
+            lines.append(f"{frames:,.0f} frames took {duration(fast)} and {duration(slow)} in {group}")
+    return lines
 
 
 def _same_work(one: Run, other: Run) -> tuple[float, float, float]:
@@ -129,5 +129,5 @@ def reached(run: Run, seconds: float) -> Reached | None:
 
 def reached_by(groups: Mapping[str, Sequence[Run]], seconds: float) -> dict[str, list[Reached]]:
     """Return the results of each group's runs after ``seconds``; runs without an evaluated policy are left out."""
-    found = {group: [reached(run, seconds) for run in runs] for group, runs in groups.items()}
-    return {group: [one for one in ones if one is not None] for group, ones in found.items()}
+    results = {group: [reached(run, seconds) for run in runs] for group, runs in groups.items()}
+    return {group: [one for one in ones if one is not None] for group, ones in results.items()}

@@ -123,7 +123,7 @@ def curves(
     vertical line at. The result is ``None`` if no run has ``x``.
     """
     figure, axes = new()
-    ax, found = axes[0, 0], False
+    ax, drawn = axes[0, 0], False
     for (group, runs), colour in zip(groups.items(), colours(list(groups)).values(), strict=True):
         lines = [
             np.array([(row[x] / scale, row["return_mean"]) for row in run.rows if x in row and "return_mean" in row])
@@ -132,7 +132,7 @@ def curves(
         lines = [line for line in lines if len(line)]
         if not lines:
             continue
-        found = True
+        drawn = True
         grid = np.linspace(max(line[0, 0] for line in lines), max(line[-1, 0] for line in lines), POINTS)
         point, ends = intervals(np.stack([np.interp(grid, *line.T) for line in lines]))
         ax.plot(grid, point, color=colour, label=f"{group} ({len(lines)})", lw=1.8)
@@ -143,7 +143,7 @@ def curves(
         ax.axvline(mark / scale, color=INK, lw=0.8, ls="--")
     ax.set(xlabel=label, ylabel="return")
     legend(ax)
-    return figure if found else None
+    return figure if drawn else None
 
 
 def performance(groups: Mapping[str, Sequence[Run]]) -> Figure:

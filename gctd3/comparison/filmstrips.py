@@ -23,13 +23,13 @@ def stride_of(run: Run, robot: Robot, camera: str = "side") -> tuple[list[tuple[
     """Draw one stride of a run's policy past the first metres, in equal steps of time.
 
     Returns:
-        The pictures with the time and place of each, what they show, and a caption.
+        The pictures with the time and place of each, their subject, and a caption.
 
     Raises:
-        RenderError: If it cannot be drawn, whatever the reason.
+        RenderError: If the stride cannot be drawn.
     """
     if not (run.directory / FOLDER).is_dir():
-        raise RenderError(f"Of {run.name} there are numbers only, no policy.")
+        raise RenderError(f"{run.name} has numbers only, no policy.")
     try:
         loaded = load_run(run.directory)
         task = loaded.task("film")
@@ -43,9 +43,7 @@ def stride_of(run: Run, robot: Robot, camera: str = "side") -> tuple[list[tuple[
         images = list(draw(walk, robot, chosen, camera, (SIZE, SIZE), task.control_dt, words=False))
     except GCTD3Error as error:
         raise RenderError(str(error)) from error
-    what = "a stride" if strides else f"{STRIDE} s, for its stride time is not known"
+    what = "a stride" if strides else f"{STRIDE} s, its stride time being unknown"
     words = [f"{(step + 1) * task.control_dt:.2f} s, {walk.position[step]:.2f} m" for step in chosen]
-    caption = (
-        "Of the policy whose return is the group's median, in equal steps of time; a line on the floor every metre."
-    )
+    caption = "The policy with the group's median return, in equal steps of time; a line on the floor every metre."
     return list(zip(images, words, strict=True)), what, caption

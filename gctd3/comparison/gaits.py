@@ -42,7 +42,7 @@ GAIT = (
         "of the touchdown map, from below; under 1 is stable",
     ),
     ("strides", "strides used", "", 0, "of all feet and episodes; the first two of each foot are never used"),
-    ("periodic_fraction", "periodic", "", 2, "share of episodes whose strides could be judged"),
+    ("periodic_fraction", "periodic", "", 2, "share of episodes whose strides could be evaluated"),
 )
 ASYMMETRY = "asymmetry_"
 
@@ -53,7 +53,7 @@ def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
     meaning = "RMS against its mirror image half a stride later; 0 is symmetric"
     joints = [(key, f"asymmetry, {key.removeprefix(ASYMMETRY).replace('_', ' ')}", "rad", 3, meaning) for key in keys]
     counts = [f"{sum(bool(run.gait) for run in runs)} of {len(runs)}" for runs in groups.values()]
-    judged = ["seeds judged here", "", *counts, "those of whose episodes any got 10 m far"]
+    evaluated = ["seeds evaluated here", "", *counts, "seeds with an episode that got 10 m far"]
     rows = []
     for key, name, unit, digits, meaning in (*GAIT, *joints):
         cells = [_gait_cell(runs, key, digits) for runs in groups.values()]
@@ -62,10 +62,10 @@ def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
     return Table(
         "gait",
         "Gaits",
-        "Over the last 10 m of the episodes that got that far: mean over seeds (lowest to highest). What only strides "
-        "have is given of seeds at least half of whose episodes have them.",
+        "Over the last 10 m of the episodes that got that far: mean over seeds (lowest to highest). Metrics of strides "
+        "cover the seeds with strides in at least half of these episodes.",
         ("", UNIT, *groups, MEANING),
-        [judged, *rows] if rows else [],
+        [evaluated, *rows] if rows else [],
     )
 
 
@@ -78,5 +78,5 @@ def _gait_cell(runs: Sequence[Run], key: str, digits: int) -> str:
         known = [mean + (phase - mean + 0.5) % 1.0 - 0.5 for phase in known]
     gaits = [run.gait for run in runs]
     lacking = Counter(why_missing(gait, key) for gait in gaits if key in gait and gait[key] is None)
-    said = [mean_and_range(known, digits)] if known or not lacking else []
-    return "; ".join(said + [f"{count} {why}" for why, count in lacking.items()])
+    parts = [mean_and_range(known, digits)] if known or not lacking else []
+    return "; ".join(parts + [f"{count} {why}" for why, count in lacking.items()])

@@ -54,8 +54,8 @@ def with_trace(runs: Sequence[Run]) -> list[Run]:
 def differences(runs: Sequence[Run]) -> dict[str, list[Any]]:
     """Return the keys in which configurations differ, the seeds aside, with each run's value."""
     keys = sorted({key for run in runs for key in run.config} - set(SEEDS))
-    found = {key: [run.config.get(key) for run in runs] for key in keys}
-    return {key: values for key, values in found.items() if any(value != values[0] for value in values)}
+    values_by_key = {key: [run.config.get(key) for run in runs] for key in keys}
+    return {key: values for key, values in values_by_key.items() if any(value != values[0] for value in values)}
 
 
 def _place(run: Run) -> tuple[bool, bool, bool]:
@@ -67,19 +67,19 @@ def _place(run: Run) -> tuple[bool, bool, bool]:
 
 
 def _names(sets: list[list[Run]]) -> list[tuple[list[Run], str]]:
-    found = []
+    named = []
     for members, label in _labelled(sets, lambda run: run.algorithm):
         for finer, options in _labelled(members, _options_in(members)):
-            found += list(zip(finer, _told_apart(f"{label} {options}".strip(), finer), strict=True))
-    return found
+            named += list(zip(finer, _distinct_names(f"{label} {options}".strip(), finer), strict=True))
+    return named
 
 
 def _labelled(sets: list[list[Run]], label: Callable[[Run], str]) -> list[tuple[list[list[Run]], str]]:
     """Group sets of runs by a label of their first run."""
-    found: dict[str, list[list[Run]]] = {}
+    by_label: dict[str, list[list[Run]]] = {}
     for members in sets:
-        found.setdefault(label(members[0]), []).append(members)
-    return [(members, name) for name, members in found.items()]
+        by_label.setdefault(label(members[0]), []).append(members)
+    return [(members, name) for name, members in by_label.items()]
 
 
 def _options_in(sets: list[list[Run]]) -> Callable[[Run], str]:
@@ -91,7 +91,7 @@ def _options_in(sets: list[list[Run]]) -> Callable[[Run], str]:
     return lambda run: " ".join(run.overrides[key] for key in telling if key in run.overrides)
 
 
-def _told_apart(label: str, sets: list[list[Run]]) -> list[str]:
+def _distinct_names(label: str, sets: list[list[Run]]) -> list[str]:
     """Return a distinct name for each set of runs with the same label."""
     if len(sets) == 1:
         return [label]

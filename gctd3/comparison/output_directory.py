@@ -26,10 +26,10 @@ def check_place(out: Path, runs: Path) -> None:
     Raises:
         RunError: If ``out`` is no directory, or holds something, but no report.
     """
-    there = next(path for path in (out, *out.absolute().parents) if path.exists() or path.is_symlink())
-    if not there.is_dir():
-        raise RunError(f"out={out} cannot be a directory, for {there} is none: choose another out.")
-    if there != out or all((out / name).is_file() for name in (PAGE, VERDICT)):
+    existing = next(path for path in (out, *out.absolute().parents) if path.exists() or path.is_symlink())
+    if not existing.is_dir():
+        raise RunError(f"out={out} cannot be a directory, for {existing} is not one: choose another out.")
+    if existing != out or all((out / name).is_file() for name in (PAGE, VERDICT)):
         return
     others = sorted(
         path.name for path in out.iterdir() if path.name != ASIDE and not runs.resolve().is_relative_to(path.resolve())
@@ -37,7 +37,7 @@ def check_place(out: Path, runs: Path) -> None:
     if others:
         raise RunError(
             f"out={out} holds {', '.join(others[:3])}{', ...' * (len(others) > 3)}, but no report that could be "
-            "replaced: choose a directory that is empty or not there yet."
+            "replaced: choose a new or empty directory."
         )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import gctd3
 from gctd3.comparison.archive import check_keep, keep
-from gctd3.comparison.comparability import check_judging, check_seeds, check_together
+from gctd3.comparison.comparability import check_episodes, check_seeds, check_together
 from gctd3.comparison.groups import groups_of, typical, with_trace
 from gctd3.comparison.output_directory import FIGURES, PAGE, TABLES, VERDICT, check_place, in_place
 from gctd3.comparison.runs import Run, evaluated, find_runs, lost_runs
@@ -20,7 +20,7 @@ from gctd3.evaluation.episode import LAST_METRES
 from gctd3.files import title, write_text
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
-from gctd3.runs.judge import TRACE
+from gctd3.runs.evaluate import TRACE
 
 if TYPE_CHECKING:
     from gctd3.comparison.figures import Gallery, Picture
@@ -48,7 +48,7 @@ def report(settings: ReportSettings) -> Path:
     runs, lost = find_runs(root), lost_runs(root)
     check_together(runs)
     check_seeds(groups_of(runs))
-    check_judging(runs, settings)
+    check_episodes(runs, settings)
     runs = evaluated(runs, settings)
     # Once more, now that the new evaluations have a reward too.
     check_together(runs)
@@ -96,7 +96,7 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
         if figure is not None:
             caption = (
                 "Interquartile mean over seeds (their number in brackets) and its 95 % bootstrap interval; a dot where "
-                "a run ended, whose last value stands from there on."
+                "a run ended; from there on its last value counts."
             )
             if at_limit is not None:
                 caption += " Dashed, where the groups are compared at equal wall-clock."
@@ -116,7 +116,7 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
         compared.append(gallery.add(chances, "improvement", "Probability of improvement", caption))
 
     if any(typical(with_trace(members)) for members in groups.values()):
-        caption = "Of the typical episode of the run whose return is its group's median."
+        caption = "The typical episode of the run with the group's median return."
         compared.append(gallery.add(figures.body_height(groups), "body_height", "Body height", caption))
 
     table5 = tables.table5(groups, robot, walks and asked.name == "biped")
@@ -152,7 +152,7 @@ def _gait_pictures(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: G
     from gctd3.comparison.filmstrips import stride_of
     from gctd3.comparison.page import Row
 
-    found: list[object] = []
+    items: list[object] = []
     for group, runs in groups.items():
         run = typical(runs)
         if run is None:
@@ -165,8 +165,8 @@ def _gait_pictures(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: G
         except RenderError as error:
             notes.append(f"{group}: no filmstrip. {error}")
         contacts, others, lacking = _traces(group, typical(with_trace(runs)), robot, gallery)
-        found += [*notes, *lacking, Row([[picture] for picture in (*others, *contacts)], films)]
-    return found
+        items += [*notes, *lacking, Row([[picture] for picture in (*others, *contacts)], films)]
+    return items
 
 
 def _traces(
@@ -202,15 +202,15 @@ def _robustness(groups: Mapping[str, Sequence[Run]], gallery: Gallery) -> list[o
     examined = {group: results for group, results in examined.items() if results}
     if not examined:
         return []
-    found: list[object] = [tables.robustness_table(examined)]
+    items: list[object] = [tables.robustness_table(examined)]
     figure = robustness_plot.conditions_figure(examined)
     caption = "The mean over seeds; a stroke for each seed."
-    found.append(gallery.add(figure, "conditions", "Success under other conditions", caption))
-    shoves = robustness_plot.shoves_figure(examined)
-    if shoves is not None:
+    items.append(gallery.add(figure, "conditions", "Success under other conditions", caption))
+    pushes = robustness_plot.pushes_figure(examined)
+    if pushes is not None:
         caption = (
             "The largest impulse on the body up to which all starts survive; the mean over seeds. Solid "
             "forward, dashed backward."
         )
-        found.append(gallery.add(shoves, "shoves", "Shoves survived over the stride", caption))
-    return found
+        items.append(gallery.add(pushes, "pushes", "Pushes survived over the stride", caption))
+    return items

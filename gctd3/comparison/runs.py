@@ -14,9 +14,9 @@ import numpy as np
 from tqdm import tqdm
 
 from gctd3.errors import GCTD3Error, RunError
-from gctd3.evaluation.settings import Judging
+from gctd3.evaluation.settings import EpisodeSettings
 from gctd3.files import MANIFEST, read_manifest
-from gctd3.runs.judge import EVALUATION, ROBUSTNESS, TRACE, evaluate_run
+from gctd3.runs.evaluate import EVALUATION, ROBUSTNESS, TRACE, evaluate_run
 from gctd3.runs.settings import EvaluateSettings
 from gctd3.training.run_log import PROGRESS
 from gctd3.training.saved_configuration import CONFIG, OVERRIDES, command_line, flat, load_config, load_settings
@@ -97,17 +97,17 @@ class Run:
 
     def value(self, key: str) -> float:
         """Return a number of the evaluation, else of its gait metrics; NaN if it is missing or undefined."""
-        found = (self.evaluation or {}).get(key)
-        if found is None:
-            found = self.gait.get(key)
-        return float(found) if isinstance(found, (int, float)) else math.nan
+        value = (self.evaluation or {}).get(key)
+        if value is None:
+            value = self.gait.get(key)
+        return float(value) if isinstance(value, (int, float)) else math.nan
 
 
 def find_runs(root: Path) -> list[Run]:
     """Find all runs below ``root``, or ``root`` itself, that have a configuration.
 
     Raises:
-        RunError: If there is none, or one cannot be read.
+        RunError: If no run is found, or one cannot be read.
     """
     if not root.is_dir():
         raise RunError(f"No directory at {root}.")
@@ -118,13 +118,13 @@ def find_runs(root: Path) -> list[Run]:
 
 
 def lost_runs(root: Path) -> list[str]:
-    """Return names of runs below ``root`` of which nothing is known: the configuration is empty or missing."""
+    """Return the names of runs below ``root`` whose configuration is empty or missing."""
     return [_name(directory, root) for directory in _directories(root) if not _configured(directory)]
 
 
 def _directories(root: Path) -> list[Path]:
     """Find the directories of runs by the files that even a run killed at its beginning leaves."""
-    return sorted({found.parent for name in (CONFIG.parent.name, PROGRESS) for found in root.rglob(name)})
+    return sorted({path.parent for name in (CONFIG.parent.name, PROGRESS) for path in root.rglob(name)})
 
 
 def _configured(directory: Path) -> bool:
@@ -151,7 +151,7 @@ def read_run(directory: Path, root: Path) -> Run:
     overrides = dict(item.split("=", 1) for item in items if "=" in item)
     rows = _progress(directory / PROGRESS)
     run = Run(directory, _name(directory, root), config, overrides.get("algo", "gctd3"), rows)
-    return judged(replace(run, overrides=overrides, trouble=_trouble(run)))
+    return with_results(replace(run, overrides=overrides, trouble=_trouble(run)))
 
 
 def _trouble(run: Run) -> str | None:
@@ -160,7 +160,7 @@ def _trouble(run: Run) -> str | None:
         try:
             return f"crashed: {read_manifest(run.directory / POST_MORTEM)['error']}"
         except (RunError, KeyError):
-            return f"crashed; what is in {POST_MORTEM} cannot be read"
+            return f"crashed; {POST_MORTEM} cannot be read"
     config, rows = run.config, run.rows
     if "total_frames" not in config:
         return None
@@ -181,7 +181,7 @@ def _reached(run: Run) -> bool:
     return bool(late) and len(late) == wanted and all(map(run.rule.all_reached, late))
 
 
-def judged(run: Run) -> Run:
+def with_results(run: Run) -> Run:
     """Return the run with its evaluation, trace and robustness, if it has them.
 
     Raises:
@@ -205,31 +205,31 @@ def _robustness(file: Path) -> Mapping[str, Any] | None:
     if not file.is_file():
         return None
     try:
-        found: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        if not {"conditions", "shoves", "perturbations"} <= set(found):
-            raise ValueError("it lacks conditions, shoves or perturbations")
+        results: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        if not {"conditions", "pushes", "perturbations"} <= set(results):
+            raise ValueError("it lacks conditions, pushes or perturbations")
     except (ValueError, TypeError) as error:
         raise RunError(f"{file} cannot be read: {error}; delete it, or examine the run again.") from error
-    return found
+    return results
 
 
-def evaluated(runs: Sequence[Run], judging: Judging) -> list[Run]:
+def evaluated(runs: Sequence[Run], settings: EpisodeSettings) -> list[Run]:
     """Evaluate the runs that have no evaluation, and return all; a run that cannot be evaluated holds the reason."""
     missing = [run for run in runs if run.evaluation is None]
     done = {}
     for run in tqdm(missing, desc="evaluating", unit=" run", disable=not missing):
-        done[run.name] = _evaluate(run, judging)
+        done[run.name] = _evaluate(run, settings)
     return [done.get(run.name, run) for run in runs]
 
 
-def _evaluate(run: Run, judging: Judging) -> Run:
+def _evaluate(run: Run, settings: EpisodeSettings) -> Run:
     try:
         reward = load_settings(run.directory).evaluation.reward
-        shared = {item.name: getattr(judging, item.name) for item in fields(Judging)}
+        shared = {item.name: getattr(settings, item.name) for item in fields(EpisodeSettings)}
         evaluate_run(EvaluateSettings(str(run.directory), reward, **shared))
     except GCTD3Error as error:
         return replace(run, failure=str(error).replace(f"{run.directory}/", ""))
-    return judged(run)
+    return with_results(run)
 
 
 def _progress(file: Path) -> list[dict[str, float]]:
@@ -252,7 +252,7 @@ def _rows(file: Path, hint: str) -> list[dict[str, float]]:
     Raises:
         RunError: If it cannot.
     """
-    line, found = 1, []
+    line, rows = 1, []
     try:
         lines = csv.reader(file.read_text(encoding="utf-8").splitlines())
         head = next(lines, [])
@@ -260,7 +260,7 @@ def _rows(file: Path, hint: str) -> list[dict[str, float]]:
             line = lines.line_num
             if len(cells) != len(head):
                 raise ValueError(f"{len(cells)} cells under {len(head)} columns")
-            found.append({key: float(text or "nan") for key, text in zip(head, cells, strict=True)})
+            rows.append({key: float(text or "nan") for key, text in zip(head, cells, strict=True)})
     except (ValueError, csv.Error) as error:
         raise RunError(f"{file} cannot be read: line {line}, {error}; {hint}.") from error
-    return found
+    return rows

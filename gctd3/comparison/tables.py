@@ -93,7 +93,7 @@ def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: b
         "dropped" + (f", {drop:.4f} m above standing." if np.isfinite(drop) else "."),
         (
             "",
-            "seeds judged",
+            "seeds evaluated",
             "return, mean ± sd",
             "return, IQM",
             "body from standing, m",
@@ -107,8 +107,8 @@ def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: b
 
 def _episodes(groups: Mapping[str, Sequence[Run]]) -> str:
     """Return the number of episodes as ``50 episodes``, or ``episodes`` if it is unknown or differs between runs."""
-    found = {run.evaluation.get("episodes") for runs in groups.values() for run in runs if run.evaluation}
-    return f"{found.pop()} episodes" if len(found) == 1 and None not in found else "episodes"
+    numbers = {run.evaluation.get("episodes") for runs in groups.values() for run in runs if run.evaluation}
+    return f"{numbers.pop()} episodes" if len(numbers) == 1 and None not in numbers else "episodes"
 
 
 def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
@@ -117,19 +117,19 @@ def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
     rows = []
     for group, known in reached_by(groups, limit.seconds).items():
         cells = [interval([scale * getattr(one, key) for one in known]) for key, scale, _ in columns]
-        said = [cell.text(column[-1]) if known else "-" for cell, column in zip(cells, columns, strict=True)]
+        texts = [cell.text(column[-1]) if known else "-" for cell, column in zip(cells, columns, strict=True)]
         seeds = f"{len(known)} of {len(groups[group])}"
-        rows.append([group, seeds, *said, _number(limit.medians[group] / 60.0, 2)])
+        rows.append([group, seeds, *texts, _number(limit.medians[group] / 60.0, 2)])
     return Table(
         "equal_time",
         "At equal wall-clock",
         f"What each run had reached after {limit.text} of wall-clock: the median training time of {limit.group}, the "
         "shortest of all groups' (of runs that came to their end). Return and success are those of the policy that "
         "the run would have kept if it had been stopped then, which is the one that stop_when ranks first of those "
-        "evaluated until then. They are of evaluations in training, by which that policy was chosen: not of Table 5's "
-        "episodes, and rather too high. Frames and updates are interpolated between evaluations; a run that ended "
-        "sooner stays as it was. Interquartile means over seeds with 95 % intervals. Wall-clock depends on the machine "
-        "and on what else ran there.",
+        "evaluated until then. They come from evaluations in training, by which that policy was chosen, not from Table "
+        "5's episodes, and are biased upwards. Frames and updates are interpolated between evaluations; a run that "
+        "ended sooner keeps its last values. Interquartile means over seeds with 95 % intervals. Wall-clock depends on "
+        "the machine and on its other programs.",
         (
             "",
             "seeds evaluated",
@@ -152,21 +152,21 @@ def robustness_table(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table
     conditions = dict.fromkeys(name for results in groups.values() for one in results for name in one["conditions"])
     rows = []
     for name in conditions:
-        found = [
+        rates = [
             [one["conditions"][name]["success_rate"] for one in results if name in one["conditions"]]
             for results in groups.values()
         ]
-        rows.append([f"success, {name}", "", *(mean_and_range(values, 2) for values in found)])
+        rows.append([f"success, {name}", "", *(mean_and_range(values, 2) for values in rates)])
     for direction in DIRECTIONS:
         impulses = [[weakest(one, direction) for one in results] for results in groups.values()]
         cells = [mean_and_range([value for value in values if np.isfinite(value)], 1) for values in impulses]
-        rows.append([f"shove {direction}, worst moment", "N s", *cells])
+        rows.append([f"push {direction}, worst moment", "N s", *cells])
     perturbations = next(iter(groups.values()))[0]["perturbations"]
     return Table(
         "robustness",
         "Robustness",
-        "Mean over seeds (lowest to highest), each by itself, the policy as it was trained. A shove's number is the "
-        "largest impulse that is survived whenever in the stride it comes: the robot goes on for "
+        "Mean over seeds (lowest to highest), each by itself, the policy as it was trained. A push's number is the "
+        "largest impulse that is survived at every phase of the stride: the robot walks on for "
         f"{perturbations['recover']:g} s, at all {perturbations['starts']} starts, and with every smaller impulse; "
         f"{perturbations['impulses'][-1]:g} N s is the largest that was tried.",
         ("", UNIT, *groups),

@@ -95,30 +95,30 @@ def compare(
         nobody = " and ".join(group for group, values in (ours, theirs) if not values)
         return Comparison(name, other, what, f"cannot be compared, {nobody} has no number for it")
     first, second = interval(a), interval(b)
-    said = f"{_said(first, unit, digits, len(a))} against {_said(second, unit, digits, len(b))}"
+    numbers = f"{_interval_text(first, unit, digits, len(a))} against {_interval_text(second, unit, digits, len(b))}"
     if len(a) < 2 or len(b) < 2:
-        return Comparison(name, other, what, f"{NOTHING}, a single seed cannot show one", said)
-    said += f"; a run of {name} {more} than one of {other} with probability {improvement(a, b).text(2)}"
+        return Comparison(name, other, what, f"{NOTHING}, a single seed cannot show one", numbers)
+    numbers += f"; a run of {name} {more} than one of {other} with probability {improvement(a, b).text(2)}"
     if too_few(len(a), len(b)):
-        return Comparison(name, other, what, f"{NOTHING}, so few seeds cannot show one", said)
+        return Comparison(name, other, what, f"{NOTHING}, so few seeds cannot show one", numbers)
     if first.overlaps(second):
-        return Comparison(name, other, what, f"{NOTHING}, the intervals overlap", said)
+        return Comparison(name, other, what, f"{NOTHING}, the intervals overlap", numbers)
     high, low = (name, other) if first.value > second.value else (other, name)
-    return Comparison(name, other, what, f"{high} {more}", said, f"{high} {more} than {low}")
+    return Comparison(name, other, what, f"{high} {more}", numbers, f"{high} {more} than {low}")
 
 
 def comparisons(groups: Mapping[str, Sequence[Run]], limit: Limit | None) -> list[Comparison]:
     """Compare the first group with every other, over whole trainings and at ``limit``; no times if uneven."""
-    found, timed = [], not uneven(groups)
+    results, timed = [], not uneven(groups)
     first, *others = groups
     for key, what, unit, digits, more in COMPARED:
         for other in others:
             pair = [(name, scores(groups[name], key)) for name in (first, other)]
-            # The times of those that got there say little of a group whose others never did.
+            # Times of the seeds that reached the finish say little about a group in which others never did.
             if key == MINUTES and (not timed or _unfinished([first, other], groups)):
                 continue
             if any(values for _, values in pair):
-                found.append(compare(what, unit, digits, more, *pair))
+                results.append(compare(what, unit, digits, more, *pair))
     if limit is not None and timed:
         known = reached_by(groups, limit.seconds)
         for key, what, digits, more in AT_LIMIT:
@@ -126,8 +126,8 @@ def comparisons(groups: Mapping[str, Sequence[Run]], limit: Limit | None) -> lis
                 ones = [(name, [getattr(one, key) for one in known[name]]) for name in (first, other)]
                 pair = [(name, [value for value in values if np.isfinite(value)]) for name, values in ones]
                 if all(values for _, values in pair):
-                    found.append(compare(f"{what} after {limit.text} of training", "", digits, more, *pair))
-    return found
+                    results.append(compare(f"{what} after {limit.text} of training", "", digits, more, *pair))
+    return results
 
 
 def _unfinished(names: Iterable[str], groups: Mapping[str, Sequence[Run]]) -> list[str]:
@@ -173,20 +173,20 @@ def _summary(compared: Sequence[Comparison]) -> list[str]:
 
 
 def _outcomes(groups: Mapping[str, Sequence[Run]]) -> list[str]:
-    found = []
+    sentences = []
     for group, runs in groups.items():
-        judged = [run for run in runs if run.evaluation is not None]
-        walked = sum(run.value("success_rate") >= 1.0 for run in judged)
-        lost = len(runs) - len(judged)
-        line = f"{group}: {walked} of {len(runs)} seeds reach the finish in every episode that was judged"
+        evaluated = [run for run in runs if run.evaluation is not None]
+        walked = sum(run.value("success_rate") >= 1.0 for run in evaluated)
+        lost = len(runs) - len(evaluated)
+        line = f"{group}: {walked} of {len(runs)} seeds reach the finish in every episode that was evaluated"
         line += f"; {lost} failed and have no numbers" if lost else ""
-        found.append(f"{line}{_cost(runs)}.")
+        sentences.append(f"{line}{_cost(runs)}.")
     for group, runs in groups.items():
         for run in runs:
             if run.trouble:
                 used = "its best policy until then counts" if run.evaluation is not None else "it has no policy"
-                found.append(f"{group}, seed {run.seed} ({run.name}) {run.trouble.rstrip('.')}; {used}.")
-    return found
+                sentences.append(f"{group}, seed {run.seed} ({run.name}) {run.trouble.rstrip('.')}; {used}.")
+    return sentences
 
 
 def _cost(runs: Sequence[Run]) -> str:
@@ -194,9 +194,13 @@ def _cost(runs: Sequence[Run]) -> str:
     times = whole_times(runs)
     if not times:
         return ""
-    said, scale = duration(float(np.median(times))), 60.0 if np.median(times) >= 60.0 else 1.0
+    median, scale = duration(float(np.median(times))), 60.0 if np.median(times) >= 60.0 else 1.0
     low, high = (f"{end / scale:.1f}" for end in (min(times), max(times)))
-    return f"; a whole run took {said} in the median ({low} to {high})" if low != high else f"; a whole run took {said}"
+    return (
+        f"; a whole run took {median} in the median ({low} to {high})"
+        if low != high
+        else f"; a whole run took {median}"
+    )
 
 
 def _lengths(groups: Mapping[str, Sequence[Run]]) -> list[str]:
@@ -211,11 +215,11 @@ def _lengths(groups: Mapping[str, Sequence[Run]]) -> list[str]:
     every = [[value for values in by_group.values() for value in values] for by_group in trained.values()]
     if len(groups) < 2 or not any(values and max(values) > LONGER * min(values) for values in every):
         return []
-    said = []
+    lengths = []
     for group in groups:
         known = [f"{_range(by_group[group])} {key}" for key, by_group in trained.items() if by_group[group]]
-        said.append(f"{group} {' and '.join(known) or 'an unknown number of frames'}")
-    return [f"Trainings were not equally long, and are compared all the same: {'; '.join(said)}."]
+        lengths.append(f"{group} {' and '.join(known) or 'an unknown number of frames'}")
+    return [f"Trainings were not equally long, and are compared all the same: {'; '.join(lengths)}."]
 
 
 def _range(values: Sequence[float]) -> str:
@@ -226,24 +230,24 @@ def _range(values: Sequence[float]) -> str:
 def _at_limit(groups: Mapping[str, Sequence[Run]], limit: Limit | None) -> list[str]:
     if len(groups) < 2:
         return []
-    found = unlike_machines(groups)
+    sentences = unlike_machines(groups)
     if limit is None:
         return [
-            *found,
+            *sentences,
             "Nothing is compared at equal wall-clock: fewer than two groups have a run that came to its end, timed.",
         ]
     for group, known in reached_by(groups, limit.seconds).items():
         if len(known) < len(groups[group]):
             late = f"{len(groups[group]) - len(known)} of {len(groups[group])} seeds"
-            found.append(
-                f"{group}: {late} had evaluated no policy after {limit.text}; what is said of then leaves them out."
+            sentences.append(
+                f"{group}: {late} had evaluated no policy after {limit.text}; comparisons at that time leave them out."
             )
     for key in COMPUTING:
         values = {group: sorted({str(run.config.get(key)) for run in runs}) for group, runs in groups.items()}
         if len({tuple(those) for those in values.values()}) > 1:
-            said = "; ".join(f"{' or '.join(those)} in {group}" for group, those in values.items())
-            found.append(f"Times are not like for like, {key} differs: {said}.")
-    return found
+            differing = "; ".join(f"{' or '.join(those)} in {group}" for group, those in values.items())
+            sentences.append(f"Times are not like for like, {key} differs: {differing}.")
+    return sentences
 
 
 def unlike_machines(groups: Mapping[str, Sequence[Run]]) -> list[str]:
@@ -258,18 +262,18 @@ def unlike_machines(groups: Mapping[str, Sequence[Run]]) -> list[str]:
 
 
 def _caveats(groups: Mapping[str, Sequence[Run]]) -> list[str]:
-    found = []
+    sentences = []
     never = _unfinished(groups, groups)
     if never and len(groups) > 1 and not uneven(groups):
-        found.append(
+        sentences.append(
             f"The time to the finish is compared between groups that always got there; not so {', '.join(never)}."
         )
     if len(groups) < 2:
-        found.append("There is one kind of run only, so nothing is compared.")
+        sentences.append("There is one kind of run only, so nothing is compared.")
     if any(len(scores(runs, "return_mean")) < FEW for runs in groups.values()):
-        found.append(f"Some have fewer than {FEW} seeds: their intervals are rougher than they look.")
-    return found
+        sentences.append(f"Some have fewer than {FEW} seeds: their intervals are rougher than they look.")
+    return sentences
 
 
-def _said(number: Interval, unit: str, digits: int, seeds: int) -> str:
+def _interval_text(number: Interval, unit: str, digits: int, seeds: int) -> str:
     return f"{number.text(digits)}{unit} ({seeds} seed{'s' * (seeds != 1)})"

@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from traceback import walk_tb
 from typing import NoReturn
@@ -22,21 +22,28 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import MarkedYAMLError, YAMLError
 
 from gctd3.compat import own_launcher
-from gctd3.config.help import CONF, asks_for_help, check_installed, command_of, conf, fail, help_of
+from gctd3.config.fields import TARGET, find, is_settings, meanings
+from gctd3.config.help import CONF, asks_for_help, check_installed, choices, command_of, conf, fail, help_of
+from gctd3.config.suggestions import nearest
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
-from gctd3.files import title
+from gctd3.files import remove_empty, title
+from gctd3.signals import Interruption
 
-INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
-UNREAD = 141  # and of one whose output nobody reads
+UNREAD = 141  # exit code that shells report for a program whose output nobody reads
+_NULL = "null"
 _JOBLIB = ("hydra/launcher", "joblib")  # an option only where the plugin is installed
-_WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException)
-_USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError)
+_WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException, YAMLError)
+_USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError, YAMLError)
 
 
 def command(
-    config: str, task: Callable[[DictConfig], object], rewrite: Callable[[str], list[str]] = lambda argument: [argument]
+    config: str,
+    task: Callable[[DictConfig], object],
+    rewrite: Callable[[str], list[str]] = lambda argument: [argument],
+    may_change: Sequence[str] = (),
 ) -> None:
     """Run ``task`` on the configuration that the command line asks for; exit with 2 after a message if it is wrong.
 
@@ -44,28 +51,44 @@ def command(
         config: Name of the root YAML in ``conf/``.
         task: Function of the resolved configuration; its return value goes to Hydra's sweeper.
         rewrite: Function of an argument that returns what Hydra reads in its place.
+        may_change: Keys that the command line may change, if it continues a run.
     """
+    heard = Interruption()
+    try:
+        with heard.listening():
+            _run(config, task, rewrite, may_change)
+    except BaseException as error:
+        # An import that a signal broke off raises what it likes.
+        if heard.signal is None and not isinstance(error, KeyboardInterrupt):
+            raise
+        print("\nInterrupted.", file=sys.stderr)
+        raise SystemExit(heard.exit_code) from None
+
+
+def _run(
+    config: str,
+    task: Callable[[DictConfig], object],
+    rewrite: Callable[[str], list[str]],
+    may_change: Sequence[str],
+) -> None:
     check_installed()
     if asks_for_help():
         print(help_of(command_of(config)))
         return
-    sys.argv[1:] = _together(sys.argv[1:])
+    sys.argv[1:] = _together(_without_null(sys.argv[1:], config))
     # A launcher's plug-in has settings of the same name as ours in conf/, on purpose.
     warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/", category=UserWarning)
-    # Hydra would print and exit; this way its errors come here, to be said in the library's words.
+    # Makes Hydra raise its errors, which are reported below in the library's words, instead of printing and exiting.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
-        sys.argv[1:] = [said for argument in sys.argv[1:] for said in rewrite(argument)]
+        sys.argv[1:] = [read for argument in sys.argv[1:] for read in rewrite(argument)]
         hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
-    except KeyboardInterrupt:
-        print("\nInterrupted.", file=sys.stderr)
-        raise SystemExit(INTERRUPTED) from None
     except BrokenPipeError:
         _unread()
     except _USER_ERRORS as error:
-        fail(explain(error, config))
+        fail(explain(error, config, may_change))
     except (AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
-        # Hydra's own, of a group given a value that is no option; a fault of the task itself keeps its traceback.
+        # Hydra raises these for a value that is not an option of its group; the task's own errors keep their traceback.
         if _raised_by_the_task(error):
             raise
         fail(f"The arguments cannot be combined: {error or type(error).__name__}")
@@ -90,6 +113,20 @@ def _together(arguments: list[str]) -> list[str]:
     return sorted(arguments, key=lambda argument: not assigns(argument))
 
 
+def _without_null(arguments: list[str], config: str) -> list[str]:
+    """Drop choices of ``null`` where that is the default: Hydra takes none on a command line."""
+    defaults = {choice.name: choice.value for choice in choices(command_of(config))}
+    kept = []
+    for argument in arguments:
+        name, _, option = argument.partition("=")
+        group = chooses(argument)
+        if group is None or option != _NULL or argument.startswith("~"):
+            kept.append(argument)
+        elif defaults.get(name) != _NULL:
+            fail(f"{argument}: {name} cannot be left out. Options of {group}: {', '.join(options(group))}.")
+    return kept
+
+
 def _subject(robot: object, task: str) -> str:
     """Return the name of the robot that walks, whether it ships with gctd3 or is a file, or the library's task."""
     return title(str(robot)) if task == "walk" else task
@@ -105,13 +142,14 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
     @functools.wraps(task)
     def guarded(settings: DictConfig) -> object:
         try:
+            _check_overrides(settings, HydraConfig.get().overrides.task)
             return task(settings)
         except BrokenPipeError:
             _unread()
         except _USER_ERRORS as error:
             _refuse(error, config)
         except RuntimeError as error:
-            # PyTorch's way to say that memory is short.
+            # PyTorch reports a lack of memory as a RuntimeError.
             if "alloc" not in str(error) and "out of memory" not in str(error):
                 raise
             _refuse(MemoryError(str(error).splitlines()[0]), config)
@@ -119,49 +157,66 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
     return guarded
 
 
+def _check_overrides(settings: DictConfig, overrides: Iterable[str]) -> None:
+    """Raise a :class:`.ConfigError` if an override does nothing, or fills a group of which no option was chosen."""
+    for override in map(str, overrides):
+        key, _, value = override.lstrip("+~").partition("=")
+        mapping = OmegaConf.select(settings, key, throw_on_missing=False) if re.fullmatch(r"[\w.]+", key) else None
+        if re.fullmatch(r"\{\s*\}", value) and isinstance(mapping, DictConfig) and len(mapping):
+            terms = all(isinstance(item, DictConfig) for item in mapping.values())
+            names = [str(name) for name in mapping if name != TARGET]
+            each = [f"{key}.{name}=null" if terms else f"'~{key}.{name}'" for name in names]
+            raise ConfigError(
+                f"{override} removes nothing, since it is merged with what is there. Leave out each: {' '.join(each)}"
+            )
+    for group in map(str, settings):
+        value = OmegaConf.select(settings, group, throw_on_missing=False)
+        if isinstance(value, DictConfig) and TARGET not in value and chooses(f"{group}="):
+            raise ConfigError(_unchosen(group))
+
+
+def _unchosen(group: str) -> str:
+    return f"{group} has no keys as it is: begin with {group}=..., which is one of {', '.join(options(group))}."
+
+
 def _refuse(error: Exception, config: str) -> NoReturn:
     """Report an error and end the process; in a sweep end only the run, unless its settings are wrong."""
     hydra_config = HydraConfig.get()
     directory = Path(hydra_config.runtime.output_dir)
-    _remove_empty(directory)
-    said, sweeping = explain(error, config), hydra_config.mode is RunMode.MULTIRUN
+    # Hydra makes it for every run.
+    remove_empty(directory)
+    message, sweeping = explain(error, config), hydra_config.mode is RunMode.MULTIRUN
     if sweeping and not isinstance(error, _WRONG_SETTINGS):
-        # The sweep itself fails at its end.
-        print(f"error: {directory}: {said}", file=sys.stderr, flush=True)
-        raise RunError(f"{directory} failed, as was said when it did; the other runs went on.") from None
+        # The sweep continues with its other runs, and fails at its end.
+        print(f"error: {directory}: {message}", file=sys.stderr, flush=True)
+        raise RunError(f"{directory} failed, with the message printed above; the other runs went on.") from None
     if sweeping and not own_launcher(hydra_config.launcher):
-        raise RunError(said) from None  # for the process that started the sweep to say
-    fail(said)
+        raise RunError(message) from None  # reported by the process that started the sweep
+    fail(message)
 
 
 def _unread() -> NoReturn:
     """End the program silently: the reader of its output (``| head``) has closed it."""
-    # Python writes what it still holds when it ends, and would complain.
+    # At its exit Python flushes its buffers, and would report the closed pipe.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     raise SystemExit(UNREAD)
 
 
-def _remove_empty(directory: Path) -> None:
-    """Remove the directory that Hydra makes for every run, and those above it in the working directory, while empty."""
-    while directory != Path.cwd() and directory.is_dir() and not any(directory.iterdir()):
-        directory.rmdir()
-        directory = directory.parent
-        if Path.cwd() not in directory.parents:
-            return
-
-
-def explain(error: Exception, config: str) -> str:
-    """Describe an error in a line or two; for an unknown key, name the nearest known one."""
+def explain(error: Exception, config: str, may_change: Sequence[str] = ()) -> str:
+    """Describe an error in a line or two; for an unknown key, name the nearest known one; see :func:`command`."""
     if isinstance(error, GCTD3Error):
-        return str(error)
+        return f"{error}{_replacing(str(error))}"
+    if isinstance(error, MarkedYAMLError):
+        mark = error.problem_mark
+        return f"{mark.name}, line {mark.line + 1}: {error.problem}." if mark else str(error)
     if isinstance(error, MemoryError):
         return f"Not enough memory ({error}): lower replay.buffer_size, env.num_envs or the number of episodes."
     # Hydra's counts as an OSError.
     if isinstance(error, MissingConfigException) and error.options:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
-        nearest, options = suggest(option, error.options), ", ".join(error.options)
+        close, accepted = suggest(option, error.options), ", ".join(error.options)
         needed = " It needs its package: pip install 'gctd3[sweep]'." if (group, option) == _JOBLIB else ""
-        return f"Could not find '{group}/{option}'.{needed or nearest} Options of {group}: {options}."
+        return f"Could not find '{group}/{option}'.{needed or close} Options of {group}: {accepted}."
     if isinstance(error, OSError):
         return f"{error.strerror}: {error.filename}" if error.filename else str(error)
     if isinstance(error, OverrideParseException):
@@ -173,18 +228,45 @@ def explain(error: Exception, config: str) -> str:
         return text
     key = unknown.group(1)
     parent = key.rpartition(".")[0]
+    if may_change:
+        return (
+            f"Unknown key {key!r}: a run that is continued keeps its robot, task and reward."
+            f"{nearest(key, dict.fromkeys(may_change, ''))} May change: {', '.join(may_change)}."
+        )
     keys = _known_keys(config, sys.argv[1:])
+    group = key.partition(".")[0]
+    if not any(known.startswith(f"{group}.") for known in keys) and group in keys and chooses(f"{group}="):
+        return f"Unknown key {key!r}: {_unchosen(group)}"
     siblings = [k for k in keys if k.rpartition(".")[0] == parent]
-    accepted = f" Accepted: {', '.join(siblings)}." if siblings else ""
+    accepted = f" Accepted: {', '.join(siblings)}." if siblings else f" {parent} has no keys." if parent in keys else ""
     if any(argument.startswith(f"{key}._target_=") for argument in sys.argv[1:]):
         return f"Unknown key {key!r}. To add it: +{key}._target_=...{accepted}"
-    return f"Unknown key {key!r}.{suggest(key, keys)}{accepted}"
+    return f"Unknown key {key!r}.{nearest(key, keys)}{accepted}"
+
+
+def _replacing(message: str) -> str:
+    """Return how to replace settings by those of another class, if that is what ``message`` comes from."""
+    for argument in sys.argv[1:]:
+        place = argument.partition(f".{TARGET}=")[0]
+        if f".{TARGET}=" in argument and not place.startswith("+") and f"Unknown key '{place}." in message:
+            _, _, target = argument.partition("=")
+            above = place.rpartition(".")[0]
+            return (
+                f" It was a key of the class before {target}: to replace {place}, leave it out and add yours by a new "
+                f"name, {place}=null +{above}.NAME.{TARGET}={target}"
+            )
+    return ""
 
 
 def chooses(argument: str) -> str | None:
     """Return the group of which an argument chooses an option; ``None`` for other arguments, which add no keys."""
     group = re.split("[=@]", argument.lstrip("+~"), maxsplit=1)[0]
     return group if group.isidentifier() and conf().joinpath(group).is_dir() else None
+
+
+def options(group: str) -> list[str]:
+    """List the options of a group that ship with gctd3."""
+    return sorted(file.stem for file in conf().joinpath(group).glob("*.yaml"))
 
 
 def ships(argument: str) -> bool:
@@ -195,17 +277,17 @@ def ships(argument: str) -> bool:
 
 def _elsewhere(arguments: list[str]) -> list[str]:
     """Return the override with Hydra's further search paths, if a command line gives them."""
-    said = [argument for argument in arguments if argument.startswith("hydra.searchpath=")]
+    overrides = [argument for argument in arguments if argument.startswith("hydra.searchpath=")]
     for argument, following in itertools.zip_longest(arguments, arguments[1:], fillvalue=""):
         option, _, folder = argument.partition("=")
         if option in ("--config-dir", "-cd"):
             path = str(Path(folder or following).absolute()).replace("'", "\\'")
-            said.append(f"hydra.searchpath=['file://{path}']")
-    return said[-1:]
+            overrides.append(f"hydra.searchpath=['file://{path}']")
+    return overrides[-1:]
 
 
-def _known_keys(config: str, arguments: list[str]) -> list[str]:
-    """List every key of the configuration, given those of the arguments that choose an option and are valid."""
+def _known_keys(config: str, arguments: list[str]) -> dict[str, str]:
+    """Return the meaning of every key, given those of the arguments that choose an option and are valid."""
     GlobalHydra.instance().clear()
     sound = _elsewhere(arguments)
     with initialize_config_module(CONF, version_base="1.3"):
@@ -215,14 +297,22 @@ def _known_keys(config: str, arguments: list[str]) -> list[str]:
                 composed = compose(config, [*sound, argument])
                 sound.append(argument)
 
-    def walk(node: DictConfig, prefix: str) -> list[str]:
-        found = []
+    def walk(node: DictConfig, prefix: str) -> dict[str, str]:
+        known, described = {}, _meanings(node)
         for key in map(str, node):
             value = OmegaConf.select(node, key, throw_on_missing=False)
-            if key != "_target_":
-                found.append(f"{prefix}{key}")
+            if key != TARGET:
+                known[f"{prefix}{key}"] = described.get(key, "")
             if isinstance(value, DictConfig):
-                found += walk(value, f"{prefix}{key}.")
-        return found
+                known |= walk(value, f"{prefix}{key}.")
+        return known
 
     return walk(composed, "")
+
+
+def _meanings(node: DictConfig) -> dict[str, str]:
+    """Return the meanings of the keys of settings; of a mapping that is none, or of a class not found, nothing."""
+    with contextlib.suppress(ImportError):
+        cls = find(str(node.get(TARGET, "")))
+        return meanings(cls) if is_settings(cls) else {}
+    return {}

@@ -1,19 +1,19 @@
 """Complete what Hydra composes: every key that no YAML holds gets the default of the dataclass that ``_target_`` names.
 
-So a default has one home, and a YAML holds what differs from it. It happens between the last YAML and the first
+So a default has one place, and a YAML holds the keys that differ. It happens between the last YAML and the first
 override of the command line: by then groups, robots and experiments have chosen each ``_target_``, a key that some YAML
 gives is kept, and Hydra, which closes the configuration next, accepts ``algo.tau=0.01``, refuses ``algo.tua=0.01``, and
 shows, sweeps and saves every key.
 
-Considered besides: entries of Hydra's ConfigStore, generated from the dataclasses, as the first default of each YAML.
-That is Hydra's own way, but names each class twice, gives nothing to a class from outside that is only named by the
+Alternatives: entries of Hydra's ConfigStore, generated from the dataclasses, as the first default of each YAML. That
+is Hydra's own way, but names each class twice, gives nothing to a class from outside that is only named by the
 ``_target_`` of somebody's YAML, and what is merged first cannot know which class is chosen last: nested settings of one
 would be left over under another. Prefixing unlisted keys with ``++`` would accept misspelt ones, and reach neither
 YAMLs nor sweeps.
 
 Hydra has no plug-in for that moment, so one method of its loader is wrapped, in :mod:`gctd3.compat`. Importing
 ``gctd3.conf`` does it, and Hydra cannot read ``pkg://gctd3.conf`` without importing that: so every process composes
-alike, those of a launcher and other projects' too.
+alike, including the processes of a launcher and of other projects.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def _add(config: DictConfig, defaults: dict[str, Any]) -> None:
                 config[key] = default
                 continue
             inner = _inner(config, key)
-            # Settings inside of settings, of which a YAML gives some keys and leaves the class as it is.
+            # Nested settings: the YAML gives some of their keys, and not their class.
             nested = isinstance(default, dict) and TARGET in default
             if nested and isinstance(inner, DictConfig) and not _says(inner, TARGET):
                 _add(inner, default)

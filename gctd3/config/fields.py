@@ -1,4 +1,4 @@
-"""Read settings: the fields of a dataclass, their types, their defaults as YAML has them, and what they mean. Light.
+"""Read settings: the fields of a dataclass, their types, their defaults as YAML has them, and their meanings. Light.
 
 A setting's default stands in its dataclass and nowhere else, and its meaning and unit in the ``Attributes:`` of that
 dataclass's docstring. Command lines, ``--help`` and the reference all read them here.
@@ -43,7 +43,7 @@ class Setting:
     meaning: str
 
 
-def find(target: str) -> Any:  # noqa: ANN401 - whatever has that name
+def find(target: str) -> Any:  # noqa: ANN401 - any object
     """Import the object that a ``_target_`` names.
 
     Raises:
@@ -52,7 +52,7 @@ def find(target: str) -> Any:  # noqa: ANN401 - whatever has that name
     module, _, name = str(target).rpartition(".")
     try:
         return getattr(import_module(module), name)
-    except Exception as error:  # what a module raises is its own
+    except Exception as error:  # a module may raise anything
         raise ImportError(str(error)) from error
 
 
@@ -63,21 +63,21 @@ def is_settings(thing: object) -> typing.TypeGuard[type]:
 
 def settings_of(cls: type) -> list[Setting]:
     """Describe the fields of a dataclass, those of its bases first."""
-    hints, said, defaults = typing.get_type_hints(cls), meanings(cls), defaults_of(cls)
-    return [Setting(name, hints[name], default, said.get(name, "")) for name, default in defaults.items()]
+    hints, texts, defaults = typing.get_type_hints(cls), meanings(cls), defaults_of(cls)
+    return [Setting(name, hints[name], default, texts.get(name, "")) for name, default in defaults.items()]
 
 
 def defaults_of(cls: type) -> dict[str, Any]:
     """Return the default of every field of a dataclass, as YAML has it."""
-    found = {}
+    defaults = {}
     for field in dataclasses.fields(cls):
         if field.default is not dataclasses.MISSING:
-            found[field.name] = in_yaml(field.default)
+            defaults[field.name] = in_yaml(field.default)
         elif field.default_factory is not dataclasses.MISSING:
-            found[field.name] = in_yaml(field.default_factory())
+            defaults[field.name] = in_yaml(field.default_factory())
         elif field.init:
-            found[field.name] = REQUIRED
-    return found
+            defaults[field.name] = REQUIRED
+    return defaults
 
 
 def in_yaml(value: Any) -> Any:  # noqa: ANN401
@@ -101,7 +101,7 @@ def name_of(cls: type) -> str:
 
 def meanings(cls: type) -> dict[str, str]:
     """Read the meanings of a class's fields from the ``Attributes:`` of its docstring and its bases'."""
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         section = inspect.cleandoc(vars(base).get("__doc__") or "").partition("\nAttributes:\n")[2]
         name = None
@@ -109,12 +109,12 @@ def meanings(cls: type) -> dict[str, str]:
             entry = _ENTRY.fullmatch(line)
             if entry:
                 name = entry["name"]
-                found[name] = entry["text"]
+                texts[name] = entry["text"]
             elif name is None or not line.startswith("     "):
                 break  # another section
             else:
-                found[name] += " " + line.strip()
-    return found
+                texts[name] += " " + line.strip()
+    return texts
 
 
 def in_plain_text(meaning: str) -> str:
@@ -137,9 +137,10 @@ def describe(hint: Any) -> str:  # noqa: ANN401
         return ("one of " if len(inner) > 1 else "") + ", ".join(map(str, inner))
     if hint in (None, type(None)):
         return "null"
-    if origin is not None and issubclass(origin, Mapping):
-        return "a mapping" if inner[1] is Any else f"a mapping to {describe(inner[1])}"
-    if origin is not None and issubclass(origin, Sequence):
-        return f"a list of {describe(inner[0])}"
+    kind = origin or hint
+    if issubclass(kind, Mapping):
+        return "a mapping" if not inner or inner[1] is Any else f"a mapping to {describe(inner[1])}"
+    if issubclass(kind, Sequence) and kind is not str:
+        return f"a list of {describe(inner[0])}" if inner and inner[0] is not Any else "a list"
     names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
     return names.get(hint, f"a {getattr(hint, '__name__', hint)} (a mapping with its _target_)")

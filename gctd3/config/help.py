@@ -35,12 +35,12 @@ class Key:
     Attributes:
         name: The key, dotted.
         value: Its default; ``...`` if it must be given.
-        said: Its meaning.
+        meaning: Its meaning.
     """
 
     name: str
     value: str
-    said: str
+    meaning: str
 
 
 def fail(message: str) -> NoReturn:
@@ -74,7 +74,7 @@ def root_of(command: str) -> str:
 
 
 def conf() -> Path:
-    """Find the folder of YAMLs, without importing it: that is for Hydra, which completes what it reads there."""
+    """Find the folder of YAMLs, without importing it: the import, which Hydra makes, installs the completion."""
     spec = find_spec(CONF)
     assert spec is not None and spec.submodule_search_locations is not None
     return Path(next(iter(spec.submodule_search_locations)))
@@ -97,7 +97,7 @@ def overview() -> str:
             "",
             *rows,
             "",
-            "Each takes key=value arguments and says which with --help. Scripts do the same: gctd3-train and so on.",
+            "Each takes key=value arguments and lists them with --help. Scripts do the same: gctd3-train and so on.",
             "To begin:  python -m gctd3.view, to see it walk, and python -m gctd3.train algo=gctd3, to train it.",
         ]
     )
@@ -112,7 +112,7 @@ def help_of(command: str) -> str:
     if chosen:
         lines += ["", "Choices (group=option), each of which brings keys of its own:", *_table(chosen)]
         lines += ["", f"`python -m gctd3.{command} --cfg job` shows every key, also after choices on the same line."]
-        lines += ["`python -m gctd3.config.reference` says what each of them means."]
+        lines += ["`python -m gctd3.config.reference` explains each of them."]
     return "\n".join(lines)
 
 
@@ -122,11 +122,11 @@ def keys(command: str) -> Iterator[Key]:
     return _keys(plain, {choice.name.rpartition("@")[2] for choice in choices(command)}, "")
 
 
-def _keys(said: Mapping[str, Any], taken: Collection[str], prefix: str) -> Iterator[Key]:
-    """List the keys of settings that a YAML gives as ``said``, except those in ``taken``."""
+def _keys(given: Mapping[str, Any], taken: Collection[str], prefix: str) -> Iterator[Key]:
+    """List the keys of settings that a YAML gives as ``given``, except those in ``taken``."""
     inner = []
-    for setting in settings_of(find(said[TARGET])):
-        name, value = f"{prefix}{setting.name}", said.get(setting.name, setting.default)
+    for setting in settings_of(find(given[TARGET])):
+        name, value = f"{prefix}{setting.name}", given.get(setting.name, setting.default)
         if name not in taken and isinstance(value, Mapping) and TARGET in value:
             inner.append(_keys(value, taken, f"{name}."))
         elif name not in taken:
@@ -167,10 +167,10 @@ def _text(command: str) -> str:
 
 
 def _table(rows: Iterator[Key] | list[Key]) -> Iterator[str]:
-    said = [(f"  {row.name}={row.value}", row.said) for row in rows]
-    left = max(len(key) for key, _ in said) + 2
+    entries = [(f"  {row.name}={row.value}", row.meaning) for row in rows]
+    left = max(len(key) for key, _ in entries) + 2
     width = min(max(shutil.get_terminal_size((100, 24)).columns, _NARROW), _WIDE)
-    for key, comment in said:
+    for key, comment in entries:
         lines = textwrap.wrap(comment, max(width - left, 30)) or [""]
         yield f"{key:{left}}{lines[0]}".rstrip()
         yield from (" " * left + line for line in lines[1:])

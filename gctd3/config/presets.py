@@ -1,4 +1,4 @@
-"""Read the YAMLs of conf/ without Hydra: what each is for, what it builds on, which keys it sets and why. Light."""
+"""Read the YAMLs of conf/ without Hydra: the purpose of each, its base, its keys and their reasons. Light."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ def groups() -> list[str]:
 
 def presets(group: str) -> list[Preset]:
     """Read the options of a group, those that build on no other first."""
-    found = [read(file) for file in sorted((conf() / group).glob("*.yaml"))]
-    return sorted(found, key=lambda preset: (preset.base is not None, preset.name))
+    options = [read(file) for file in sorted((conf() / group).glob("*.yaml"))]
+    return sorted(options, key=lambda preset: (preset.base is not None, preset.name))
 
 
 def read(file: Path) -> Preset:
@@ -103,7 +103,7 @@ def changes(text: str) -> Iterator[Change]:
     lines = text.splitlines()
     path: list[str] = []
     above: list[str] = []
-    goes_on = head = True  # whether the line before was a comment too; whether nothing but the file's own was read
+    goes_on = head = True  # the line before was a comment too; only the file's own comment was read so far
     for line in lines:
         if line.strip().startswith("#"):
             above, goes_on = [*above, line.strip("# ")] if goes_on else [line.strip("# ")], True

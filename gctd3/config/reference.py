@@ -14,9 +14,9 @@ from gctd3.config.presets import Preset, groups, presets
 
 HEAD = """# Configuration
 
-Every command takes `key=value` arguments. The default of a key is that of a dataclass, so that Python and the command
-line have the same; an option of a group, as in `algo=td3`, changes some of its keys: `conf/` says which and why. A key
-on the command line wins over options, an option over defaults. `python -m gctd3.COMMAND --cfg job` shows the result.
+Every command takes `key=value` arguments. A key's default is that of a dataclass field, so that Python and the command
+line agree; an option of a group, as in `algo=td3`, changes some of its keys: `conf/` says which and why. A key on the
+command line overrides options, and an option overrides defaults. `python -m gctd3.COMMAND --cfg job` shows the result.
 
 This page is written by `python -m gctd3.config.reference`, from those dataclasses and YAMLs.
 """
@@ -67,7 +67,7 @@ def _commands() -> Iterator[str]:
         yield ""
         if chosen:
             yield from ["| group | default | options |", "|---|---|---|"]
-            yield from (f"| `{choice.name}` | `{choice.value}` | {choice.said} |" for choice in chosen)
+            yield from (f"| `{choice.name}` | `{choice.value}` | {choice.meaning} |" for choice in chosen)
             yield ""
 
 
@@ -76,31 +76,31 @@ def _groups() -> Iterator[str]:
     for group in groups():
         yield from [f"### `{group}`", ""]
         options = presets(group)
-        told: set[str] = set()
+        described: set[str] = set()
         for preset in options:
             settings = _settings(preset, options)
-            if settings is not None and settings.__name__ not in told:
-                told.add(settings.__name__)
+            if settings is not None and settings.__name__ not in described:
+                described.add(settings.__name__)
                 prefix = group.rpartition("/")[2] + "."
                 yield from [f"Keys of `{settings.__name__}`: {_first_line(settings)}", ""]
                 listed = list(rows(settings, prefix=prefix))
                 yield from _table(listed) if listed else ["It has none."]
                 yield ""
-        yield from ["| option | what it is, and changes |", "|---|---|"]
-        yield from (f"| `{preset.name}` | {_told(preset, options)} |" for preset in options)
+        yield from ["| option | meaning, and changes |", "|---|---|"]
+        yield from (f"| `{preset.name}` | {_description(preset, options)} |" for preset in options)
         yield ""
 
 
 def _settings(preset: Preset, options: list[Preset]) -> type | None:
     """Find the dataclass of an option, or that of the option on which it builds."""
     if preset.target is not None:
-        found = find(preset.target) if preset.target.startswith("gctd3.") else None
-        return found if is_settings(found) else None
+        cls = find(preset.target) if preset.target.startswith("gctd3.") else None
+        return cls if is_settings(cls) else None
     base = next((other for other in options if other.name == preset.base), None)
     return _settings(base, options) if base is not None and not preset.everywhere else None
 
 
-def _told(preset: Preset, options: list[Preset]) -> str:
+def _description(preset: Preset, options: list[Preset]) -> str:
     """Describe an option, the option on which it builds, and its changes."""
     parts = [preset.about]
     if preset.base is not None:
@@ -111,7 +111,7 @@ def _told(preset: Preset, options: list[Preset]) -> str:
     defaults = {row.name: row.setting.default for row in rows(settings, prefix=prefix)} if settings else {}
     for change in preset.changes:
         name = f"{prefix}{change.key}"
-        # A key that is given as it is by default is no change, unless it takes one back.
+        # A key with its default value is not a change, unless it undoes a change of the option's base.
         if preset.base is None and name in defaults and defaults[name] == change.value:
             continue
         parts.append(f"<br>`{name}={written(change.value)}`" + (f": {change.why}" if change.why else ""))

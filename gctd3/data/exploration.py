@@ -24,8 +24,8 @@ class Rhythm(torch.nn.Module):
     those. A joint without a mirror image follows its own sine.
 
     With ``mutation_share`` the gaits evolve: every robot remembers its gait that got farthest, and that share of new
-    gaits are mutations of what a few robots remember, of the farthest among them. So a robot that has to balance,
-    which hardly any drawn gait does, soon tries gaits that do.
+    gaits are mutations: the parent of each is the farthest of the gaits that a few random robots remember. So a robot
+    that has to balance, which hardly any random gait does, soon tries gaits that do.
 
     Args:
         robot: The robot.
@@ -47,9 +47,9 @@ class Rhythm(torch.nn.Module):
 
     OFFSET = 0.5  # largest, of a joint's half range
     AMPLITUDE = (0.1, 1.0)  # smallest and largest, of a joint's half range
-    NOISE = 0.1  # standard deviation of what is added to the sines
+    NOISE = 0.1  # standard deviation of the noise on the sines
     RIVALS = 4  # robots of whom the one that got farthest is a parent
-    # Standard deviations of what is added to a parent's numbers: of a joint's half range, of a period, in Hz.
+    # Standard deviations of mutations: in a joint's half range, in a period, in Hz.
     MUTATION: Mapping[str, float] = {"offset": 0.1, "amplitude": 0.1, "phase": 0.04, "frequency": 0.1}
 
     def __init__(
@@ -58,7 +58,7 @@ class Rhythm(torch.nn.Module):
         super().__init__()
         partner = torch.from_numpy(robot.action_mirror[0])
         own = torch.arange(len(partner))
-        # Of each pair the joint that the robot lists first leads, the other lags by half a period.
+        # In each pair the joint that the robot lists first leads, and the other lags by half a period.
         self.register_buffer("leader", torch.minimum(own, partner))
         self.register_buffer("lag", 0.5 * (own > partner))
         self.register_buffer("sign", torch.where(own > partner, torch.from_numpy(robot.action_mirror[1]), 1.0).float())
@@ -66,7 +66,7 @@ class Rhythm(torch.nn.Module):
             self.register_buffer(name, torch.zeros(num_robots, len(partner)))
         self.register_buffer("cycles", torch.zeros(num_robots))
         self.register_buffer("frequency", torch.zeros(num_robots))
-        self._range, self._dt, self._heirs = tuple(frequency), control_dt, mutation_share
+        self._range, self._dt, self._mutation_share = tuple(frequency), control_dt, mutation_share
         if mutation_share:
             self.register_buffer("farthest", torch.full((num_robots,), -math.inf))
             for name in self.MUTATION:
@@ -85,8 +85,8 @@ class Rhythm(torch.nn.Module):
         }
         for name, values in new.items():
             self._put(name, mask, values)
-        if self._heirs:
-            self._mutate(mask & (torch.rand(len(mask)) < self._heirs))
+        if self._mutation_share:
+            self._mutate(mask & (torch.rand(len(mask)) < self._mutation_share))
 
     def _mutate(self, mask: Tensor) -> None:
         rivals = torch.randint(len(mask), (len(mask), self.RIVALS))
@@ -117,7 +117,7 @@ class Rhythm(torch.nn.Module):
             is_init: Robots whose episode begins, bool ``[robots]``.
             position: Distance walked, ``[robots]`` (m); needed only with mutation_share.
         """
-        if self._heirs and position is not None:
+        if self._mutation_share and position is not None:
             self.remember(torch.where(is_init, -math.inf, position))
         if is_init.any():
             self.draw(is_init)

@@ -29,13 +29,13 @@ class InlineCollector:
     def __init__(self, env: EnvBase, policy: TensorDictModuleBase, steps: int) -> None:
         self.env, self.policy, self.steps = env, policy, steps
         self._state: TensorDictBase = env.reset()
-        self.latest: TensorDictBase = self._state  # what it was at work on, should that fail
+        self.latest: TensorDictBase = self._state  # last input, kept in case collecting fails
 
     def collect(self) -> TensorDictBase:
         """Collect the next steps, batch size ``[N, T]``.
 
         Raises:
-            NumericalError: If what the policy sees or its action is not finite.
+            NumericalError: If the policy's observation or its action is not finite.
         """
         taken = []
         with torch.no_grad():
@@ -46,7 +46,7 @@ class InlineCollector:
                 check_finite("action", acting.get("action"))
                 step, self._state = self.env.step_and_maybe_reset(acting)
                 taken.append(step)
-        # A copy saved where there is nothing to stack.
+        # A single step needs no stack, which would copy it.
         return taken[0].unsqueeze(-1) if self.steps == 1 else torch.stack(taken, dim=-1)
 
     def follow(self, policy: TensorDictModuleBase) -> None:

@@ -30,7 +30,7 @@ class _Scheme(AnswerHook, SharedMemWeightSyncScheme):
 
 
 @contextlib.contextmanager
-def _deaf_children() -> Iterator[None]:
+def _signals_ignored_by_children() -> Iterator[None]:
     """Shield processes begun meanwhile from Ctrl-C and SIGTERM, which go to a whole process group.
 
     The learner tells its workers when to end. Signals that this thread blocks reach another
@@ -47,7 +47,7 @@ class ProcessWorker(Worker):
     """Run a worker in a process on this machine; the constructor returns once it is ready."""
 
     def __init__(self, job: Job) -> None:
-        with _deaf_children():
+        with _signals_ignored_by_children():
             self._collector = MultiSyncCollector(
                 [job.make_env],
                 job.policy,
@@ -58,7 +58,7 @@ class ProcessWorker(Worker):
                 use_buffers=True,
                 trust_policy=True,
                 auto_register_policy_transforms=False,
-                # It sets the learner's threads too.
+                # TorchRL's collector sets the learner's number of threads too.
                 num_threads=torch.get_num_threads(),
                 num_sub_threads=job.cpus,
                 weight_sync_schemes={"policy": _Scheme()},
@@ -80,7 +80,7 @@ class ProcessWorker(Worker):
     def kill(self) -> None:
         """End the process at once."""
         for process in self._collector.procs:
-            with contextlib.suppress(ValueError):  # it is closed
+            with contextlib.suppress(ValueError):  # the process is closed already
                 process.kill()
         self.close()
 
@@ -88,4 +88,4 @@ class ProcessWorker(Worker):
         """Let the process end."""
         threads = torch.get_num_threads()
         self._collector.shutdown(timeout=10.0, raise_on_error=False)
-        torch.set_num_threads(threads)  # it gives the learner those of its worker
+        torch.set_num_threads(threads)  # shutdown sets the learner's number to the worker's

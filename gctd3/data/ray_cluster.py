@@ -16,7 +16,7 @@ from gctd3.errors import ConfigError, WorkerError
 
 ANSWER = 5.0  # s, that a head node may take to accept a connection
 JOIN = 30.0  # s, that joining a cluster may take
-PROBE = 60.0  # s, that the nodes may take to say what is installed on them
+PROBE = 60.0  # s, that the nodes may take to report their installed packages
 # Packages that learner and workers must have alike: they exchange pickled settings, networks and steps.
 ALIKE = ("gctd3", "torch", "torchrl", "tensordict", "mujoco")
 
@@ -26,7 +26,7 @@ def check_cluster(address: str | None, workers: int, cpus: int) -> None:
 
     Raises:
         ConfigError: If Ray is not installed, nothing answers at the address, or the CPUs do not suffice.
-        WorkerError: If the nodes have other versions of what matters than this machine.
+        WorkerError: If a node has another version of a required package than this machine.
     """
     if find_spec("ray") is None:
         raise ConfigError("collector=ray needs its package: pip install 'gctd3[ray]'.")
@@ -45,7 +45,7 @@ def _connect(address: str | None) -> None:
         return
     if address is not None and address != "auto":
         _check_answers(address)
-    # In a thread: Ray tries for minutes to talk to what is no cluster, and in the main one would take over SIGTERM.
+    # In a thread: Ray tries for minutes to reach a missing cluster, and in the main thread would take over SIGTERM.
     # The thread stays, for a cluster that is started here ends with it.
     joined = in_thread(
         lambda: ray.init(
@@ -59,15 +59,13 @@ def _connect(address: str | None) -> None:
     try:
         joined.result(None if address is None else JOIN)
     except concurrent.futures.TimeoutError as error:
-        raise ConfigError(
-            f"collector.address={address}: what listens there has not answered as a Ray cluster in {JOIN:g} s."
-        ) from error
+        raise ConfigError(f"collector.address={address}: no Ray cluster has answered there in {JOIN:g} s.") from error
     except Exception as error:  # Ray raises bare ones too
-        said = " ".join(line.strip() for line in str(error).splitlines()[:4]) or type(error).__name__
+        reason = " ".join(line.strip() for line in str(error).splitlines()[:4]) or type(error).__name__
         if address is None:
-            raise WorkerError(f"No Ray cluster could be started on this machine: {said}") from error
+            raise WorkerError(f"No Ray cluster could be started on this machine: {reason}") from error
         raise ConfigError(
-            f"collector.address={address}: cannot join a Ray cluster there: {said}. "
+            f"collector.address={address}: cannot join a Ray cluster there: {reason}. "
             "If it asks for a token, this machine needs the same one (RAY_AUTH_TOKEN)."
         ) from error
 
@@ -79,16 +77,16 @@ def _check_answers(address: str) -> None:
         socket.create_connection((host, int(port)), timeout=ANSWER).close()
     except (OSError, OverflowError) as error:
         raise ConfigError(
-            f"collector.address={address}: nothing answers there ({error}). It is what `ray start --head` printed, "
-            "port 6379 by default; null starts a cluster on this machine."
+            f"collector.address={address}: nothing answers there ({error}). The address is printed by `ray start "
+            "--head`, port 6379 by default; null starts a cluster on this machine."
         ) from error
 
 
 def check_room(workers: int, cpus: int, nodes: Mapping[str, int]) -> None:
     """Raise a :class:`.ConfigError` if ``nodes`` (their CPUs by name) do not hold so many workers."""
-    room = sum(there // cpus for there in nodes.values())
+    room = sum(available // cpus for available in nodes.values())
     if room < workers:
-        listed = ", ".join(f"{name}: {there}" for name, there in sorted(nodes.items()))
+        listed = ", ".join(f"{name}: {available}" for name, available in sorted(nodes.items()))
         raise ConfigError(
             f"collector.workers={workers} with collector.cpus={cpus} need {workers * cpus} CPUs, but the cluster has "
             f"room for {room} ({listed}): lower them, or add nodes with `ray start --address=...`."
@@ -97,11 +95,11 @@ def check_room(workers: int, cpus: int, nodes: Mapping[str, int]) -> None:
 
 def installed() -> dict[str, str]:
     """Return the installed versions of the packages that learner and workers must have alike."""
-    found = {}
+    versions = {}
     for package in ALIKE:
         with contextlib.suppress(PackageNotFoundError):
-            found[package] = version(package)
-    return found
+            versions[package] = version(package)
+    return versions
 
 
 def _nodes() -> dict[str, dict[str, Any]]:
@@ -120,15 +118,15 @@ def _on_nodes(nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-    def probe(packages: Sequence[str]) -> dict[str, str]:  # sent by value: gctd3 may be what is missing there
+    def probe(packages: Sequence[str]) -> dict[str, str]:  # sent by value: gctd3 may be missing on the node
         import contextlib
         from importlib.metadata import PackageNotFoundError, version
 
-        found = {}
+        versions = {}
         for package in packages:
             with contextlib.suppress(PackageNotFoundError):
-                found[package] = version(package)
-        return found
+                versions[package] = version(package)
+        return versions
 
     asked = {}
     for name, node in nodes.items():
@@ -143,10 +141,10 @@ def _on_nodes(nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str
 def check_alike(here: Mapping[str, str], nodes: Mapping[str, Mapping[str, str]]) -> None:
     """Raise a :class:`.WorkerError` if a node has other versions than ``here``."""
     wrong = [
-        f"{package} {there.get(package, 'none')} on {name}, {mine} here"
-        for name, there in sorted(nodes.items())
+        f"{package} {versions.get(package, 'none')} on {name}, {mine} here"
+        for name, versions in sorted(nodes.items())
         for package, mine in here.items()
-        if there.get(package, "none") != mine
+        if versions.get(package, "none") != mine
     ]
     if wrong:
         raise WorkerError(f"The nodes of the Ray cluster must have the versions of this machine: {'; '.join(wrong)}.")

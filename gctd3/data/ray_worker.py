@@ -42,8 +42,8 @@ class RayWorker(Worker):
 
     def kill(self) -> None:
         """End the actor at once."""
-        # TorchRL's list of them has to be empty: those in it are killed again when the collector is deleted, and if
-        # that is while Python ends, Ray first starts another cluster for it, and waits forever.
+        # TorchRL's list of actors has to be empty: actors in it are killed again when the collector is deleted, and if
+        # Python is ending by then, Ray first starts another cluster for that, and waits forever.
         actors = self._collector.remote_collectors
         while actors:
             with contextlib.suppress(Exception):  # there may be no cluster left to ask
@@ -53,4 +53,4 @@ class RayWorker(Worker):
         """Let the actor end."""
         with contextlib.suppress(Exception):
             self._collector.shutdown()
-        self.kill()  # if that failed before it came to the actor
+        self.kill()  # in case the shutdown failed before it ended the actor

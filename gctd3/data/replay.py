@@ -95,7 +95,7 @@ class StackedBuffer:
     ) -> None:
         storage = LazyTensorStorage(capacity, device=torch.device(device))
         self.torchrl = TensorDictReplayBuffer(storage=storage, batch_size=batch_size)
-        # By default the transform leaves the ends of a window's first step in place; the update must see its last.
+        # By default the transform keeps the done flags of a window's first step; the update needs those of its last.
         self._steps = MultiStepTransform(n_step, gamma, done_keys=[]) if n_step > 1 else None
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""Settings of exploration, replay and collectors. Importing them is cheap: what they set is imported when built."""
+"""Settings of exploration, replay and collectors. Light: the classes that they build are imported in ``build``."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ExplorationSettings:
         warmup: ``rhythmic``: a sine for every joint, left and right half a period apart (:class:`.Rhythm`);
             ``stepping``: feet that step to and fro, at sizes by the legs' length (:class:`.Stepping`); ``uniform``:
             random actions, each held for a while.
-        learning_starts: Frames of all robots together before the policy acts.
+        learning_starts: Frames of the warm-up, of all robots together, before the policy acts.
         hold: Control steps for which warmup=uniform holds an action.
         frequency: Lowest and highest frequency of warmup=rhythmic (Hz).
         mutation_share: Share of the gaits of warmup=rhythmic and warmup=stepping that are mutations of those that got
@@ -90,10 +90,10 @@ class ExplorationSettings:
 
 @dataclass(frozen=True)
 class ReplaySettings:
-    """Hold the settings of the replay: what is stored and how it is drawn.
+    """Hold the settings of the replay: how transitions are stored and drawn.
 
     Attributes:
-        buffer_size: Transitions kept; the oldest leave first.
+        buffer_size: Capacity (transitions); the oldest leave first.
         batch_size: Transitions drawn for an update.
         n_step: Rewards summed before the bootstrap (Sutton 1988).
         mirror: Reflect half of every batch in the robot's sagittal plane: ``auto`` where the robot's two sides move
@@ -200,7 +200,7 @@ class RaySettings(ProcessSettings):
 
         Raises:
             ConfigError: If Ray is not installed, nothing answers at the address, or the CPUs do not suffice.
-            WorkerError: If the nodes have other versions of what matters than this machine.
+            WorkerError: If a node has another version of a required package than this machine.
         """
         super().check_here(num_envs)
         from gctd3.data.ray_cluster import check_cluster

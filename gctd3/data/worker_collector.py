@@ -126,7 +126,7 @@ class WorkerCollector:
     def _start(self, slot: _Slot) -> concurrent.futures.Future[TensorDictBase]:
         """Start a new worker, which collects its first batch."""
         weights, frames = self._weights(), int(self.explorer.frames)
-        # Another seed for every worker that ever starts, in a resumed run too.
+        # Every worker that is started gets a seed of its own, in a resumed run too.
         seed = int(np.random.SeedSequence([self.seed, slot.index, slot.started, frames]).generate_state(1)[0])
         actor, recipe = copy.deepcopy(self.explorer.actor).to("cpu").requires_grad_(False), self.recipe
         task, robots = recipe.task, recipe.settings.num_envs
@@ -137,7 +137,7 @@ class WorkerCollector:
 
         def begin(number: int = slot.started) -> TensorDictBase:
             worker = self._launch(job)
-            if slot.started != number:  # it took too long: another has its place
+            if slot.started != number:  # it took too long, and another worker has its place
                 worker.kill()
                 raise WorkerError("replaced before it was ready")
             slot.worker = worker
@@ -187,13 +187,13 @@ class WorkerCollector:
         """End all workers; :meth:`collect` would start others."""
         closing, starting = [], any(slot.task is not None and slot.worker is None for slot in self._slots)
         for slot in self._slots:
-            slot.started += 1  # one that is still starting is not wanted any more
+            slot.started += 1  # a worker that is still starting ends itself
             slot.cut()
             if slot.worker is not None:
                 closing.append(in_thread(slot.worker.close))
             slot.worker = slot.task = None
         if concurrent.futures.wait(closing, timeout=CLOSE).not_done or starting:
-            # Python waits at its end for processes that nobody would end.
+            # At its exit Python would wait for these processes, which nothing else ends.
             for process in multiprocessing.active_children():
                 process.kill()
 

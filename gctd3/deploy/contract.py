@@ -1,4 +1,4 @@
-"""The contract of an exported policy: which readings make its input, and what its output means.
+"""The contract of an exported policy: the readings in its input, and the meaning of its output.
 
 It is written beside the policy as JSON whose keys are the attributes below, with units in their names. Robots read it,
 so this module needs the standard library only.
@@ -170,7 +170,7 @@ class Contract:
             for s in self.servos
             for angle in (s.start_rad, s.centre_rad)
         )
-        for right, said in (
+        for right, contradiction in (
             (shape == self.network.input_shape, f"nodes and history_frames make {shape}, not network.input_shape"),
             (len(set(names)) == len(names), "two features have one reading"),
             (self.control_rate_hz > 0 and self.history_frames > 0, "control_rate_hz and history_frames are above 0"),
@@ -180,7 +180,7 @@ class Contract:
             ),
         ):
             if not right:
-                raise ContractError(f"The contract contradicts itself: {said}.")
+                raise ContractError(f"The contract contradicts itself: {contradiction}.")
 
     @property
     def readings(self) -> tuple[str, ...]:
@@ -219,20 +219,20 @@ def parse_contract(text: str) -> Contract:
     """
     try:
         content = json.loads(text)
-        found = content.pop(CHECKSUM)
+        sealed = content.pop(CHECKSUM)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ContractError(f"no contract of a policy, or damaged: {error!r}.") from error
     if content.get("format") != FORMAT:
         raise ContractError(
             f"it has format {content.get('format')!r}; gctd3 {gctd3.__version__} reads format {FORMAT}."
         )
-    if seal(content) != found:
+    if seal(content) != sealed:
         raise ContractError("it is damaged or was edited: its checksum does not fit.")
     contract: Contract = _read(content, Contract, "the contract")
     return contract
 
 
-def _read(value: Any, hint: Any, where: str) -> Any:  # noqa: ANN401 - JSON to whatever the hint says
+def _read(value: Any, hint: Any, where: str) -> Any:  # noqa: ANN401 - JSON to the hinted type
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
     if dataclasses.is_dataclass(hint) and isinstance(value, Mapping):
         hints = typing.get_type_hints(hint)

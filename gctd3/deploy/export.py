@@ -133,7 +133,7 @@ def rehearse(
     seen: list[tuple[Tensor, Tensor]] = []
     hook = policy.register_forward_hook(lambda _, __, out: seen.append((out[NODES].clone(), out[ACTION].clone())))
     robot = task.robot
-    robots = build_env(task, env.judging(settings.episodes, settings.threads), settings.seed)
+    robots = build_env(task, env.for_evaluation(settings.episodes, settings.threads), settings.seed)
     result = evaluate(policy, robots, task, settings.seed)
     hook.remove()
     nodes, actions = (torch.stack(column, dim=1).numpy() for column in zip(*seen, strict=True))
@@ -172,7 +172,7 @@ def _quiet() -> Iterator[None]:
 def traced(network: Deterministic, shape: tuple[int, ...]) -> torch.export.ExportedProgram:
     """Export the network's graph for any batch size, without the paths of its source files on this machine."""
     example = torch.zeros(2, *shape)
-    # Of a named dimension it wants a proof, which fails on reshapes of every node's layer normalisation.
+    # With a named dimension the exporter wants a proof, which fails on the reshapes of the nodes' layer normalisation.
     batch = torch.export.Dim.DYNAMIC
     program = torch.export.export(network, (example,), dynamic_shapes={NODES: {0: batch}}, strict=False)
     for node in program.graph.nodes:
@@ -195,7 +195,7 @@ def to_onnx(program: torch.export.ExportedProgram, robot: RobotIdentity) -> tupl
     )
     if made is None:
         raise RuntimeError("torch.onnx.export made no program.")
-    passes.ClearMetadataAndDocStringPass()(made.model)  # where on this machine each line of code is
+    passes.ClearMetadataAndDocStringPass()(made.model)  # paths of source files on this machine
     made.model.metadata_props.update({ROBOT: robot.name, ROBOT_HASH: robot.sha256})
     content = made.model_proto.SerializeToString()
     session = open_session(content)

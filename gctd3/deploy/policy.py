@@ -166,11 +166,11 @@ class Policy:
         action: np.ndarray = self._session.run([network.output], {network.input: nodes})[0][0]
         return action
 
-    def _refuse(self, said: str) -> ReadingError:
-        return ReadingError(said, self.command)
+    def _refuse(self, message: str) -> ReadingError:
+        return ReadingError(message, self.command)
 
 
-def _number(value: Any) -> float:  # noqa: ANN401 - whatever a sensor's driver gives
+def _number(value: Any) -> float:  # noqa: ANN401 - a sensor driver's output
     """Convert a reading to a float; NaN if it is not a number, or too large for float32."""
     try:
         number = math.nan if isinstance(value, (str, bytes)) else float(value)
@@ -208,10 +208,10 @@ def _open(file: Path, contract: Contract) -> Any:  # noqa: ANN401
         ContractError: If the file does not belong to the contract.
     """
     session = open_session(file)
-    found = session.get_modelmeta().custom_metadata_map
-    if found.get(ROBOT_HASH, contract.robot.sha256) != contract.robot.sha256:
+    metadata = session.get_modelmeta().custom_metadata_map
+    if metadata.get(ROBOT_HASH, contract.robot.sha256) != contract.robot.sha256:
         raise ContractError(
-            f"{file} is of another robot than its contract: of {found.get(ROBOT)!r}, the contract of "
+            f"{file} is of another robot than its contract: of {metadata.get(ROBOT)!r}, the contract of "
             f"{contract.robot.name!r} ({file.with_suffix('.json')})."
         )
     if checksum(file) != contract.network.sha256:

@@ -192,7 +192,7 @@ def load(task: SimulatedTask, random: int | np.random.RandomState | None = None)
         task: The simulated task; it holds the robot and the control period.
         random: Seed or state of the starts and commands.
     """
-    # A model of its own: what changes it, as a payload does, is no other environment's affair.
+    # A copy of the model, so that changing it (a payload) does not affect other environments.
     physics = Physics.from_model(wrapper.MjModel(copy.deepcopy(task.robot.model)))
     return DMEnvironment(
         physics,

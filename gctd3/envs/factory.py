@@ -22,6 +22,7 @@ from gctd3.envs.check import CheckStep
 from gctd3.envs.serial import SerialRobots
 from gctd3.envs.settings import Backend, EnvSettings
 from gctd3.envs.simulation import Simulation
+from gctd3.errors import check_kind
 from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import Task, TaskSettings, check_backend
@@ -119,7 +120,8 @@ def make_env(
         >>> env.reset()["nodes"].shape
         torch.Size([3, 8, 10])
     """
-    asked = task or WalkSettings()
+    asked = WalkSettings() if task is None else task
+    check_kind("task", asked, TaskSettings)
     asked = asked if history is None else replace(asked, history=history)
-    built = asked.build(RobotSettings(robot), reward or Reward())
+    built = asked.build(RobotSettings(robot), reward)
     return build_env(built, EnvSettings(backend=backend, num_envs=num_envs), seed)

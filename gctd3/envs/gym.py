@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from gctd3.envs.simulation import Simulation
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, check_kind
 from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.simulated_task import SimulatedTask
@@ -53,11 +53,12 @@ class BipedVectorEnv(VectorEnv):
         threads: int | None = None,
         task: TaskSettings | None = None,
     ) -> None:
-        settings = task or WalkSettings()
+        settings = WalkSettings() if task is None else task
+        check_kind("task", settings, TaskSettings)
         history = settings.history if history is None else history
         if history < 1:
             raise ConfigError(f"history must be at least 1, got {history}.")
-        asked = settings.build(RobotSettings(robot), reward or Reward())
+        asked = settings.build(RobotSettings(robot), reward)
         check_backend(asked, "batched")
         one = cast(SimulatedTask, asked)
         self.simulation = Simulation(one, num_envs, threads=threads)

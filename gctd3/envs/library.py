@@ -13,7 +13,7 @@ from torchrl.envs import DMControlEnv, EnvBase, GymEnv
 from gctd3.compat import replace_wrapped_env, wrapped_env
 from gctd3.envs.library_robots import LibraryRobots, observed
 from gctd3.envs.nodes import STATIC, NodeSensor, simulator
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, check_kind
 from gctd3.robots.floating_base import Axis
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
@@ -53,12 +53,12 @@ class LibraryTask:
     ) -> None:
         self.library, self.name, self.history = library, name, history
         self.observation, self.static = observation, static
-        found = _probe(library, name)
+        probe = _probe(library, name)
         feet = None if robot.feet is None else tuple(robot.feet)
         self.robot = _robot(library, name, feet, robot.forward)
-        self.control_dt = found.control_dt
+        self.control_dt = probe.control_dt
         if observation == "flat":
-            self.graph, self.features = KinematicGraph(("observation",), np.zeros((1, 1))), found.size
+            self.graph, self.features = KinematicGraph(("observation",), np.zeros((1, 1))), probe.size
         else:
             self.graph = robot.graph_of(self.robot)
             self.features = NODE_FEATURES + (len(STATIC) if static else 0)
@@ -76,8 +76,18 @@ class LibraryTask:
             )
         return Reflection.from_robot(self.robot)
 
-    def judged_by(self, reward: Reward) -> LibraryTask:
-        """Return the task as it is: it brings its own reward."""
+    def with_reward(self, reward: Reward) -> LibraryTask:
+        """Return the task as it is: it brings its own reward.
+
+        Raises:
+            ConfigError: If the reward has terms, which would be ignored.
+        """
+        check_kind("reward", reward, Reward)
+        if reward.terms:
+            raise ConfigError(
+                f"reward.terms must be empty for {self.name}, which brings its own reward, got "
+                f"{', '.join(reward.terms)}: leave out reward=... and reward.terms...=..."
+            )
         return self
 
     def env(self, num_envs: int, seed: int) -> LibraryRobots:

@@ -42,7 +42,7 @@ def task_state(task: Any, model: mujoco.MjModel, data: mujoco.MjData) -> dict[st
     """
     return {
         "integration": integration_state(model, data),
-        # Rewards may read what was derived before the last integration, so it is not derived anew.
+        # Rewards may read values derived before the last integration, so these are kept and not recomputed.
         "derived": _joined(_derived(model, data)),
         "model": _joined(_movable(model)),
         "layers": [_attributes(layer) for layer in _layers(task)],
@@ -73,7 +73,7 @@ def load_task_state(task: Any, model: mujoco.MjModel, data: mujoco.MjData, state
 def _layers(task: Any) -> Iterator[Any]:  # noqa: ANN401
     """Yield the objects that hold the task's memory, from the outside in."""
     if hasattr(task, "physics"):
-        # What the suite wraps around a task passes its questions on, and remembers nothing itself.
+        # The suite's wrappers pass attribute access on to the task, and hold no state.
         while (inner := wrapped_env(task)) is not None:
             task = inner
         yield from (task, task.task)
@@ -85,15 +85,15 @@ def _layers(task: Any) -> Iterator[Any]:  # noqa: ANN401
 
 
 def _attributes(layer: Any) -> dict[str, dict[str, Any]]:  # noqa: ANN401
-    found = vars(layer).items()
+    attributes = vars(layer).items()
     numbers = (bool, int, float, np.generic, np.ndarray)
     return {
         "values": {
             name: np.array(value) if isinstance(value, np.ndarray) else value
-            for name, value in found
+            for name, value in attributes
             if isinstance(value, numbers) and np.asarray(value).dtype.kind in "biuf"
         },
-        "generators": {name: _get_generator(value) for name, value in found if isinstance(value, Generator)},
+        "generators": {name: _get_generator(value) for name, value in attributes if isinstance(value, Generator)},
     }
 
 

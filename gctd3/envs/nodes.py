@@ -178,7 +178,7 @@ def with_nodes(
     feet: Sequence[str] | None = None,
     forward: Axis | None = None,
 ) -> TransformedEnv:
-    """Add ``"nodes"`` ``[N, history * F]`` (oldest frame first), in float32, to what an environment writes.
+    """Add ``"nodes"`` ``[N, history * F]`` (oldest frame first), in float32, to an environment's observation.
 
     Args:
         env: A ``DMControlEnv``, or a ``GymEnv`` of a MuJoCo robot, without transforms.
@@ -194,7 +194,7 @@ def with_nodes(
 
     Raises:
         ConfigError: If the environment is not one of these.
-        RobotError: If what it simulates is not a robot, or has no such feet.
+        RobotError: If the simulated model is not a robot, or has no such feet.
     """
     nodes = Nodes(env, feet, forward)
     transforms: list[Transform] = [nodes, DoubleToFloat()]
@@ -210,7 +210,7 @@ def sensor_of(env: EnvBase, feet: Sequence[str] | None = None, forward: Axis | N
 
     Raises:
         ConfigError: If it has no MuJoCo simulator, or more than one.
-        RobotError: If what it simulates is not a robot, or has no such feet.
+        RobotError: If the simulated model is not a robot, or has no such feet.
     """
     return NodeSensor(simulator(env)[0], feet, forward)
 
@@ -221,7 +221,7 @@ def simulator(env: EnvBase) -> tuple[mujoco.MjModel, mujoco.MjData]:
     Raises:
         ConfigError: If there is no MuJoCo simulator, or more than one.
     """
-    # A transformed environment would pass these questions on.
+    # A transformed environment would pass attribute access on to the environment inside it.
     inner: Any = None if isinstance(env, TransformedEnv) else wrapped_env(env)
     if physics := getattr(inner, "physics", None):
         return physics.model.ptr, physics.data.ptr

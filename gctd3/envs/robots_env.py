@@ -81,7 +81,7 @@ class RobotsEnv(EnvBase):
 
 def column(values: np.ndarray) -> torch.Tensor:
     """Return one number per robot, ``[N]``, as a tensor ``[N, 1]``."""
-    # NumPy's is several times quicker than PyTorch's. By indexing the stride would be 0, on which torch.stack dies.
+    # NumPy's reshape is several times faster than PyTorch's. Indexing gives a stride of 0, which breaks torch.stack.
     return torch.from_numpy(values.reshape(-1, 1))
 
 

@@ -39,7 +39,7 @@ class EnvSettings:
             raise ConfigError(f"threads must be at least 1, or null for all cores, got {self.threads}.")
         check_between(self, 1, MOST_THREADS, "threads")
 
-    def judging(self, episodes: int, threads: int | None = None) -> EnvSettings:
+    def for_evaluation(self, episodes: int, threads: int | None = None) -> EnvSettings:
         """Return the settings for one evaluation: one robot per episode, all stepped at once where possible."""
         backend = "batched" if self.backend == "dm_control" else self.backend
         return replace(self, backend=backend, num_envs=episodes, threads=threads)
@@ -73,11 +73,11 @@ class LibrarySettings(TaskSettings):
         if self.static and self.observation == "flat":
             raise ConfigError("static must be false for observation=flat, which has no nodes to describe, got true.")
 
-    def build(self, robot: RobotSettings, reward: Reward) -> Task:
+    def build(self, robot: RobotSettings, reward: Reward | None = None) -> Task:
         """Build the task, its robot and its graph; the reward is the library's.
 
         Raises:
-            ConfigError: If there is no such task, or its robot does not fit, or another robot is asked for.
+            ConfigError: If there is no such task, or its robot does not fit, or another robot or reward is asked for.
             RobotError: If it has no such feet.
         """
         if robot.name != RobotSettings.name:
@@ -87,4 +87,5 @@ class LibrarySettings(TaskSettings):
             )
         from gctd3.envs.library import LibraryTask
 
-        return LibraryTask(self.library, self.name, robot, self.history, self.observation, self.static)
+        task = LibraryTask(self.library, self.name, robot, self.history, self.observation, self.static)
+        return task if reward is None else task.with_reward(reward)

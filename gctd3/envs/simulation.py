@@ -66,7 +66,7 @@ class Simulation:
         self.now: Measurement = task.measure(
             self.state[:, self._qpos], self.state[:, self._qvel], np.zeros((num_robots, self.model.nsensordata))
         )
-        # By a generator of its own: this is nobody's episode yet, and the first one is the seed's.
+        # Drawn by a separate generator: this belongs to no episode, and the first episode needs the seed's own draws.
         self.memory: Memory = task.begin(self.now, np.random.default_rng(seed))
 
     @property
@@ -93,7 +93,7 @@ class Simulation:
             data.qpos[:], data.qvel[:] = task.start(self.rng)
             rest_servos(model, data)
             mujoco.mj_forward(model, data)
-            # All of it: actuators can have a state of their own.
+            # The full physics state: actuators can have a state of their own.
             mujoco.mj_getState(model, data, self.state[robot], mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
             sensors[i] = data.sensordata
         fresh = task.measure(self.state[robots, self._qpos], self.state[robots, self._qvel], sensors)

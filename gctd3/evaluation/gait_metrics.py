@@ -1,7 +1,7 @@
 """Gait metrics, computed from contacts and joint angles.
 
-NumPy in, floats out; units, formulas and sources stand in each docstring. What a signal does not show is NaN. Contacts
-are debounced here, and a stride lasts from a foot's touchdown to its next. :mod:`.effort` has what a gait costs.
+NumPy in, floats out; units, formulas and sources stand in each docstring. Undefined numbers are NaN. Contacts
+are debounced here, and a stride lasts from a foot's touchdown to its next. :mod:`.effort` has a gait's costs.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ def altered(robot: Robot, mass: float = 1.0, friction: float = 1.0) -> Robot:
     model.body_inertia[bodies] *= mass
     model.geom_friction[:] *= friction
     model.pair_friction[:] *= friction
-    # What MuJoCo has derived from the masses is derived anew.
+    # Recompute the constants that MuJoCo derives from the masses.
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return replace(robot, model=model)
 
@@ -128,7 +128,7 @@ def sensor_deviation(task: SimulatedTask, angle: float, velocity: float, length:
     return torch.from_numpy(task.table.deviations(errors).astype(np.float32))
 
 
-class Shoved:
+class Pushed:
     """Push each robot of a policy once, some time after a touchdown of its first foot.
 
     A push changes the velocities from one control step to the next, as an impact does.
@@ -142,7 +142,7 @@ class Shoved:
         swing: Control steps that the foot has to have been in the air before.
 
     Attributes:
-        shoved_at: Control step before which each robot was pushed, -1 if it was not, shape ``[robots]``.
+        pushed_at: Control step before which each robot was pushed, -1 if it was not, shape ``[robots]``.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class Shoved:
     ) -> None:
         self.policy, self.simulation = policy, simulation
         self.impulses, self.settle, self.swing = np.asarray(impulses), settle, swing
-        self.shoved_at = np.full(simulation.num_robots, -1)
+        self.pushed_at = np.full(simulation.num_robots, -1)
         self._left = np.asarray(waits).copy()
         self._armed = np.zeros(simulation.num_robots, dtype=bool)
         self._air = np.zeros(simulation.num_robots, dtype=np.int64)
@@ -168,14 +168,14 @@ class Shoved:
         down = now.feet_down[:, 0]
         self._armed |= down & (self._air >= self.swing) & (now.position >= self.settle)
         self._air = np.where(down, 0, self._air + 1)
-        for robot in np.flatnonzero(self._armed & (self._left == 0) & (self.shoved_at < 0)):
-            self._shove(int(robot))
+        for robot in np.flatnonzero(self._armed & (self._left == 0) & (self.pushed_at < 0)):
+            self._push(int(robot))
         self._left[self._armed] -= 1
         self._step += 1
         return self.policy(state)
 
-    def _shove(self, index: int) -> None:
+    def _push(self, index: int) -> None:
         simulation, robot = self.simulation, self.simulation.task.robot
         impulse = self.impulses[index] * robot.base.frame[0]
         simulation.qvel[index] += velocity_change(robot, simulation.qpos[index], impulse)
-        self.shoved_at[index] = self._step
+        self.pushed_at[index] = self._step

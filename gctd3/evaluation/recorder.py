@@ -146,8 +146,8 @@ def soles(robot: Robot, qpos: np.ndarray, dt: float) -> tuple[np.ndarray, np.nda
     mujoco.mj_kinematics(model, data)
     local, ground = [], []
     for foot in feet:
-        found = [geom_points(model, data, geom) for geom in colliding_geoms(model, foot)]
-        points = np.concatenate(found) if found else data.xpos[[foot]]
+        clouds = [geom_points(model, data, geom) for geom in colliding_geoms(model, foot)]
+        points = np.concatenate(clouds) if clouds else data.xpos[[foot]]
         local.append((points - data.xpos[foot]) @ data.xmat[foot].reshape(3, 3))
         ground.append(points[:, 2].min())
     place, turn = np.empty((len(qpos), len(feet), 3)), np.empty((len(qpos), len(feet), 3, 3))

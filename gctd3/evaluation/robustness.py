@@ -13,7 +13,7 @@ from tqdm import tqdm
 from gctd3.envs.factory import build_env
 from gctd3.envs.settings import EnvSettings
 from gctd3.evaluation.gait_metrics import SHORTEST_SWING
-from gctd3.evaluation.perturbations import Delayed, Noisy, Policy, Shoved, altered, resting_action, sensor_deviation
+from gctd3.evaluation.perturbations import Delayed, Noisy, Policy, Pushed, altered, resting_action, sensor_deviation
 from gctd3.evaluation.recorder import total_mass
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.settings import Perturbations
@@ -51,33 +51,33 @@ class Examination:
         conditions: dict[str, dict[str, float | int]] = {}
         with tqdm(self._conditions().items(), desc="trying", unit=" condition") as bar:
             for name, (policy, task) in bar:
-                conditions[name] = self._judged(policy, task)
+                conditions[name] = self._summary(policy, task)
         return {
             "perturbations": asdict(self.perturbations),
             "mass_kg": total_mass(self.task.robot),
             "seed": self.seed,
             "conditions": conditions,
-            "shoves": None if stride_time is None else self.shoves(stride_time),
+            "pushes": None if stride_time is None else self.pushes(stride_time),
         }
 
     def _conditions(self) -> dict[str, tuple[Policy, SimulatedTask]]:
         p, task, robot = self.perturbations, self.task, self.task.robot
         noise = sensor_deviation(task, p.angle_noise, p.velocity_noise, p.height_noise, p.speed_noise)
-        found: dict[str, tuple[Policy, SimulatedTask]] = {AS_TRAINED: (self.policy, task)}
+        conditions: dict[str, tuple[Policy, SimulatedTask]] = {AS_TRAINED: (self.policy, task)}
         for factor in p.masses:
-            found[f"mass {_percent(factor)}"] = self.policy, task.on(altered(robot, mass=factor))
+            conditions[f"mass {_percent(factor)}"] = self.policy, task.on(altered(robot, mass=factor))
         for factor in p.frictions:
-            found[f"friction {_percent(factor)}"] = self.policy, task.on(altered(robot, friction=factor))
+            conditions[f"friction {_percent(factor)}"] = self.policy, task.on(altered(robot, friction=factor))
         for steps in p.delays:
             late = Delayed(self.policy, steps, resting_action(robot))
-            found[f"actions {steps} step{'s' * (steps != 1)} late"] = late, task
-        found["sensor noise"] = Noisy(self.policy, noise, self.seed), task
-        return found
+            conditions[f"actions {steps} step{'s' * (steps != 1)} late"] = late, task
+        conditions["sensor noise"] = Noisy(self.policy, noise, self.seed), task
+        return conditions
 
-    def _judged(self, policy: Policy, task: SimulatedTask) -> dict[str, float | int]:
+    def _summary(self, policy: Policy, task: SimulatedTask) -> dict[str, float | int]:
         return evaluate(policy, build_env(task, self.env, self.seed), task, self.seed).summary()
 
-    def shoves(self, stride_time: float) -> dict[str, Any]:
+    def pushes(self, stride_time: float) -> dict[str, Any]:
         """Push robots with every impulse at every phase in both directions, all in one batch.
 
         ``survived`` is the share of starts, by direction, phase and impulse, ``None`` where no robot got that far;
@@ -88,8 +88,8 @@ class Examination:
         shape = (len(DIRECTIONS), p.phases, len(p.impulses), p.starts)
         direction, phase, impulse, _ = (axis.ravel() for axis in np.indices(shape))
         signs = np.array(list(DIRECTIONS.values()))
-        env = build_env(self.task, self.env.judging(direction.size, self.env.threads), self.seed)
-        shoved = Shoved(
+        env = build_env(self.task, self.env.for_evaluation(direction.size, self.env.threads), self.seed)
+        pushed = Pushed(
             self.policy,
             env.base_env.simulation,
             signs[direction] * np.array(p.impulses)[impulse],
@@ -97,16 +97,16 @@ class Examination:
             p.settle,
             max(1, round(SHORTEST_SWING * period)),
         )
-        episodes = evaluate(shoved, env, self.task, self.seed).episodes
-        lasted = np.array([len(episode.reward) for episode in episodes]) - shoved.shoved_at
+        episodes = evaluate(pushed, env, self.task, self.seed).episodes
+        lasted = np.array([len(episode.reward) for episode in episodes]) - pushed.pushed_at
         stood = (lasted >= p.recover / dt) | np.array([episode.success for episode in episodes])
         # A robot that fell before is simulated further, but its episode is over.
-        known = (shoved.shoved_at >= 0) & (lasted > 0)
+        known = (pushed.pushed_at >= 0) & (lasted > 0)
         stood, known = (stood & known).reshape(shape), known.reshape(shape)
         rates = np.where(known.any(axis=-1), stood.sum(axis=-1) / np.maximum(known.sum(axis=-1), 1), np.nan)
         return {
             "stride_time_s": stride_time,
-            "never_shoved": int((~known).sum()),
+            "never_pushed": int((~known).sum()),
             "survived": dict(zip(DIRECTIONS, _plain(rates), strict=True)),
             "largest": dict(zip(DIRECTIONS, _plain(largest(rates, p.impulses)), strict=True)),
         }
@@ -123,47 +123,47 @@ def largest(rates: np.ndarray, impulses: Sequence[float]) -> np.ndarray:
         Largest impulse survived, shape ``[*]`` (N s); NaN where no robot was pushed with the smallest.
     """
     steps = np.cumprod(rates >= 1.0, axis=-1).sum(axis=-1)
-    found = np.concatenate([[0.0], np.asarray(impulses, dtype=np.float64)])[steps]
-    return np.where(np.isnan(rates[..., 0]), np.nan, found)
+    survived = np.concatenate([[0.0], np.asarray(impulses, dtype=np.float64)])[steps]
+    return np.where(np.isnan(rates[..., 0]), np.nan, survived)
 
 
 def weakest(results: Mapping[str, Any], direction: str) -> float:
-    """Return the largest impulse (N s) that is survived at every phase; NaN if nobody was pushed at one of them."""
-    found = ((results.get("shoves") or {}).get("largest") or {}).get(direction, ())
-    return math.nan if not found or None in found else float(min(found))
+    """Return the largest impulse (N s) that is survived at every phase; NaN if no robot was pushed at one of them."""
+    impulses = ((results.get("pushes") or {}).get("largest") or {}).get(direction, ())
+    return math.nan if not impulses or None in impulses else float(min(impulses))
 
 
 def table(results: Mapping[str, Any]) -> str:
     """Format the results as text: a line for each condition, then the pushes by phase."""
     lines = [f"{'':24}{'success':>9}{'return':>16}{'m/s':>8}{'m':>8}"]
-    for name, found in results["conditions"].items():
-        spread = f"{found['return_mean']:.1f} ± {found['return_std']:.1f}"
+    for name, means in results["conditions"].items():
+        spread = f"{means['return_mean']:.1f} ± {means['return_std']:.1f}"
         lines.append(
-            f"{name:24}{found['success_rate']:>9.2f}{spread:>16}{found['velocity_mean']:>8.3f}"
-            f"{found['distance_mean']:>8.2f}"
+            f"{name:24}{means['success_rate']:>9.2f}{spread:>16}{means['velocity_mean']:>8.3f}"
+            f"{means['distance_mean']:>8.2f}"
         )
-    shoves, p = results["shoves"], results["perturbations"]
-    if shoves is None:
-        return "\n".join([*lines, "", "The gait has no strides, so there are no phases at which to shove."])
+    pushes, p = results["pushes"], results["perturbations"]
+    if pushes is None:
+        return "\n".join([*lines, "", "The gait has no strides, so there are no phases at which to push."])
     lines += ["", f"Largest impulse survived by all {p['starts']} starts, N s, {p['settle']:g} m after the start"]
     phases = [f"{phase / p['phases']:.0%}" for phase in range(p["phases"])]
     lines.append(f"{'at this part of a stride':24}" + "".join(f"{phase:>7}" for phase in phases))
-    for direction, values in shoves["largest"].items():
+    for direction, values in pushes["largest"].items():
         lines.append(f"{direction:24}" + "".join(f"{_impulse(value, p['impulses']):>7}" for value in values))
     for direction in DIRECTIONS:
         least = weakest(results, direction)
         if math.isfinite(least):
-            said = f"{_impulse(least, p['impulses'])} N s, {least / results['mass_kg']:.2f} m/s of its mass"
-            lines.append(f"{direction}, at the worst moment: {said}")
-    if shoves["never_shoved"]:
-        lines.append(f"{shoves['never_shoved']} robots fell before they could be shoved and do not count.")
+            weakest_text = f"{_impulse(least, p['impulses'])} N s, {least / results['mass_kg']:.2f} m/s of its mass"
+            lines.append(f"{direction}, at the worst moment: {weakest_text}")
+    if pushes["never_pushed"]:
+        lines.append(f"{pushes['never_pushed']} robots fell before they could be pushed and do not count.")
     return "\n".join(lines)
 
 
 def _impulse(value: float | None, impulses: Sequence[float]) -> str:
     if value is None:
         return "-"
-    # The largest that was tried is a bound.
+    # The largest impulse that was tried is a lower bound.
     return f"{'≥ ' if value >= impulses[-1] else ''}{value:g}"
 
 

@@ -95,7 +95,7 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, task: Task, seed: int, 
             alive = alive & ~after["done"][:, 0]
             state = step_mdp(state)
     lived, reward, position, success = (torch.stack(column).numpy() for column in zip(*frames, strict=True))
-    # As precise as what policies observe.
+    # As precise as the policies' observations.
     height = np.stack([glance.height for glance in glances]).astype(np.float32)
     hips = np.stack([glance.hips for glance in glances]).astype(np.float32).astype(np.float64)
     feet_down = np.stack([glance.feet_down for glance in glances])

@@ -9,7 +9,7 @@ from gctd3.errors import ConfigError, check_between, check_seed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judging:
+class EpisodeSettings:
     """Set the number of evaluated episodes and the seed of their starts, for all commands that evaluate.
 
     Attributes:

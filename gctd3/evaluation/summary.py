@@ -68,8 +68,8 @@ class Gait:
     @cached_property
     def strides(self) -> list[np.ndarray]:
         """Return each foot's strides in the last 10 m, and never the first ones of the episode."""
-        found = [gait_metrics.strides(contact) for contact in self.feet_down.T]
-        return [foot[foot[:, 0] >= self.begin] for foot in found]
+        all_strides = [gait_metrics.strides(contact) for contact in self.feet_down.T]
+        return [foot[foot[:, 0] >= self.begin] for foot in all_strides]
 
     @cached_property
     def periodic(self) -> bool:
@@ -136,7 +136,7 @@ class Gait:
 
     def _asymmetry(self) -> dict[str, float]:
         """Compute the asymmetry of each pair of joints, by the name of the joint in the leg that comes first."""
-        robot, found = self.robot, {}
+        robot, asymmetries = self.robot, {}
         names = [joint.name for joint in robot.joints]
         for i, _ in self.episode.pairs:
             for joint in robot.legs[i]:
@@ -144,8 +144,8 @@ class Gait:
                 if other != joint.name:
                     angle = self.motion.angles[:, names.index(joint.name)]
                     mirrored = self.motion.angles[:, names.index(other)] * robot.mirror_sign(other)
-                    found[asymmetry_of(joint.name)] = gait_metrics.shifted_rms(angle, mirrored, self.strides[i])
-        return found
+                    asymmetries[asymmetry_of(joint.name)] = gait_metrics.shifted_rms(angle, mirrored, self.strides[i])
+        return asymmetries
 
 
 def asymmetry_of(joint: str) -> str:
@@ -165,17 +165,17 @@ def summarize(episodes: Sequence[Episode], robot: Robot, dt: float) -> dict[str,
         return {}
     mass, leg = total_mass(robot), robot.leg_length
     periodic = [gait for gait in gaits if gait.periodic]
-    found: dict[str, float | None] = {
+    means: dict[str, float | None] = {
         **_averages([gait.of_time(mass, leg) for gait in gaits]),
         "periodic_fraction": len(periodic) / len(gaits),
         "strides": 0.0,
     }
     if 2 * len(periodic) < len(gaits):
-        return {**found, **dict.fromkeys(OF_STRIDES)}
+        return {**means, **dict.fromkeys(OF_STRIDES)}
     each = [gait.of_strides() for gait in periodic]
     multipliers = gait_metrics.floquet_multipliers([gait.sections for gait in periodic])
     return {
-        **found,
+        **means,
         **_averages(each),
         "strides": sum(one["strides"] for one in each),
         "phase_offset": gait_metrics.circular_mean([one["phase_offset"] for one in each]),

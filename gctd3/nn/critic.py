@@ -73,7 +73,7 @@ class Critic(nn.Module):
         """Estimate the value of ``action`` at ``nodes``; ``[E, *, 1]`` with parameters stacked to ``[E, ...]``."""
         batch, beside = nodes.shape[:-2], [action, *privileged]
         if len(batch) != 1:
-            # As one dimension: to layers with stacked parameters another one before it is that of the stack.
+            # As one batch dimension: layers with stacked parameters take a dimension before it for the stack's.
             rows = [x.expand(*batch, x.shape[-1]).reshape(-1, x.shape[-1]) for x in beside]
             value = self(nodes.reshape(-1, *nodes.shape[-2:]), *rows)
             return value.reshape(*value.shape[:-2], *batch, 1)

@@ -71,8 +71,8 @@ class Symmetric(nn.Module):
             nodes: ``[*, N, F]``.
             *beside: Actions ``[*, A]`` and counters ``[*, C]``, as many as ``function`` takes.
         """
-        lonely = nodes.ndim == 2  # one state: a batch of one until the end
-        inputs = [x.unsqueeze(0) for x in (nodes, *beside)] if lonely else [nodes, *beside]
+        unbatched = nodes.ndim == 2  # one state: a batch of one until the end
+        inputs = [x.unsqueeze(0) for x in (nodes, *beside)] if unbatched else [nodes, *beside]
         mirrored = [self.nodes(inputs[0].flatten(-2)).reshape(inputs[0].shape)]
         mirrored += [reflect(x) for reflect, x in zip((self.action, self.counters), inputs[1:], strict=False)]
         dims = [-3, *[-2] * len(beside)]
@@ -80,7 +80,7 @@ class Symmetric(nn.Module):
         # Not chunk: of a batch of unknown size PyTorch's ONNX exporter cannot halve it.
         seen, reflected = both.reshape(*both.shape[:-2], 2, -1, both.shape[-1]).unbind(-3)
         out = 0.5 * (seen + self.out(reflected))
-        return out.squeeze(-2) if lonely else out
+        return out.squeeze(-2) if unbatched else out
 
 
 def _outputs(action: SignedPermutation, per_action: int) -> SignedPermutation:

@@ -63,21 +63,21 @@ class _Stacked(torch.autograd.Function):
         layers = len(ctx.saved_tensors) // 2
         passed, weights = ctx.saved_tensors[:layers], ctx.saved_tensors[layers:]
         needed = ctx.needs_input_grad
-        found: list[Tensor | None] = [None] * len(needed)
+        gradients: list[Tensor | None] = [None] * len(needed)
         for i in reversed(range(layers)):
             x, weight = passed[i], weights[i]
             if needed[1 + 2 * i]:
-                found[1 + 2 * i] = torch.bmm(gradient.mT, x.expand(len(weight), *x.shape[-2:]))
+                gradients[1 + 2 * i] = torch.bmm(gradient.mT, x.expand(len(weight), *x.shape[-2:]))
             if needed[2 + 2 * i]:
-                found[2 + 2 * i] = gradient.sum(-2)
+                gradients[2 + 2 * i] = gradient.sum(-2)
             if not any(needed[: 1 + 2 * i]):
                 break
             gradient = torch.bmm(gradient, weight)
             if i:
                 torch.ops.aten.threshold_backward.grad_input(gradient, x, 0, grad_input=gradient)
             else:
-                found[0] = gradient if x.ndim == 3 else gradient.sum(0)
-        return tuple(found)
+                gradients[0] = gradient if x.ndim == 3 else gradient.sum(0)
+        return tuple(gradients)
 
 
 def _layers(x: Tensor, *parameters: Tensor) -> list[Tensor]:

@@ -59,7 +59,7 @@ def obstacles(network: TensorDictModuleBase, outside: tuple[str, ...] = ()) -> l
     if len(network.out_keys) != 1:
         return [f"the network writes {len(network.out_keys)} keys"]
     if made := [str(key) for key in network.in_keys if key in outside]:
-        return [f"the network reads what another one writes: {', '.join(made)}"]
+        return [f"the network reads outputs of another one: {', '.join(made)}"]
     if unknown := sorted(set(_unknown(network.module))):
         return [f"not declared to take stacked parameters: {', '.join(unknown)}"]
     if type(network.module) not in _NETWORKS:

@@ -35,7 +35,7 @@ class Networks:
             held, given = copy.deepcopy(network), params()
             given.to_module(held)
             if not any(value.requires_grad for value in given.values(True, True)):
-                # Or the module would make parameters of them, and a loss collect gradients that nobody reads.
+                # Otherwise the module would turn them into parameters, and collect gradients that nobody reads.
                 held.requires_grad_(False)
             self._held[name] = held
         return self._held[name]
@@ -73,15 +73,15 @@ class StackedLoss(compat.LossHooks):
         """
         self._copies = Networks()
         several = critics if isinstance(critics, (list, tuple)) else [critics]
-        # The name of the action may still be changed, by set_keys; an actor's only output is no other's.
+        # set_keys may still change the action's name; the only output of an actor is its action.
         action = self.tensor_keys.action if len(actor.out_keys) > 1 else actor.out_keys[0]  # type: ignore[attr-defined]
         outside = tuple(key for key in actor.out_keys if key != action)
-        found = [obstacle for critic in several for obstacle in obstacles(critic, outside)]
-        self.stacked = not found and not kernels.plain()
-        if found:
+        reasons = [obstacle for critic in several for obstacle in obstacles(critic, outside)]
+        self.stacked = not reasons and not kernels.plain()
+        if reasons:
             warnings.warn(
                 f"{type(self).__name__} evaluates its critics by TorchRL's vmap, which is slower than one batched "
-                f"module: {found[0]} (gctd3.nn.stacking).",
+                f"module: {reasons[0]} (gctd3.nn.stacking).",
                 PerformanceWarning,
                 stacklevel=3,
             )
@@ -91,7 +91,7 @@ class StackedLoss(compat.LossHooks):
         self._copies.clear()
 
     def more_in_keys(self) -> list[Any]:
-        """Name what critics read of the next state besides what the actor reads."""
+        """Name the keys of the next state that critics read and the actor does not."""
         critic, action = self.qvalue_network, self.tensor_keys.action  # type: ignore[attr-defined]
         return [("next", key) for key in critic.in_keys if key != action]
 

@@ -17,7 +17,7 @@ from gctd3.compat import priority_weight, reduce_loss, vmapped_critics
 from gctd3.nn.stacking import obstacles
 from gctd3.objectives.stacked import StackedLoss, output, values
 
-Found = tuple[Tensor, dict[str, Tensor]]
+LossAndMetrics = tuple[Tensor, dict[str, Tensor]]
 
 
 class TD3Loss(StackedLoss, TorchRLTD3Loss):
@@ -27,7 +27,7 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
     two differences: critics whose layers can be stacked (:mod:`gctd3.nn.stacking`) run as one batched module (no
     ``vmap``; the actor's loss evaluates the one critic that it uses, so that ``state_action_value_actor`` is ``[*]``
     instead of ``[E, *]``), and the critics' ``in_keys`` are taken from the whole batch, where TorchRL passes on only
-    what the actor reads.
+    the actor's inputs.
 
     TorchRL sets exploration type and recurrent mode around every method that ends in ``loss``. :meth:`of_actor` and
     :meth:`of_critics` give the same losses without setting them, for networks of gctd3's layers, which know neither.
@@ -51,37 +51,37 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
         # A copy of an unknown actor might differ from it: it may be set to train or evaluate, or hold a state.
         self._known_actor = not obstacles(actor_network)
 
-    def actor_loss(self, tensordict: TensorDictBase) -> Found:
+    def actor_loss(self, tensordict: TensorDictBase) -> LossAndMetrics:
         """Return TorchRL's actor loss of a batch of size ``[*]``, and further values that were computed."""
         return self._of_actor(tensordict)
 
-    def value_loss(self, tensordict: TensorDictBase) -> Found:
+    def value_loss(self, tensordict: TensorDictBase) -> LossAndMetrics:
         """Return TorchRL's critic loss of a batch of size ``[*]``, and further values that were computed."""
         return self._of_critics(tensordict)
 
-    def of_actor(self, tensordict: TensorDictBase) -> Found:
+    def of_actor(self, tensordict: TensorDictBase) -> LossAndMetrics:
         """Return the actor's loss: minus the first critic's value of its action (equation below 11 of the paper)."""
         fast = self.stacked and self._known_actor
         return self._of_actor(tensordict) if fast else self.actor_loss(tensordict)
 
-    def of_critics(self, tensordict: TensorDictBase) -> Found:
+    def of_critics(self, tensordict: TensorDictBase) -> LossAndMetrics:
         """Return the critics' loss: both critics' distance from the target of equation 9."""
         fast = self.stacked and self._known_actor
         return self._of_critics(tensordict) if fast else self.value_loss(tensordict)
 
-    def _of_actor(self, tensordict: TensorDictBase) -> Found:
+    def _of_actor(self, tensordict: TensorDictBase) -> LossAndMetrics:
         action, seen = self._act("actor", tensordict, lambda: self.actor_network_params)
         if self.stacked:
             critic = self._copies.get("first critic", self.qvalue_network, lambda: self.qvalue_network_params.data[0])
-            value = found = values(critic, seen, {self.tensor_keys.action: action})
+            value = action_values = values(critic, seen, {self.tensor_keys.action: action})
         else:
-            found = self._values("detached critics", seen, lambda: self.qvalue_network_params.data, action)
-            value = found[0]
+            action_values = self._values("detached critics", seen, lambda: self.qvalue_network_params.data, action)
+            value = action_values[0]
         weights = priority_weight(self, tensordict)
         loss = reduce_loss(self, -value, tensordict, weights)
-        return loss, {"state_action_value_actor": found.detach()}
+        return loss, {"state_action_value_actor": action_values.detach()}
 
-    def _of_critics(self, tensordict: TensorDictBase) -> Found:
+    def _of_critics(self, tensordict: TensorDictBase) -> LossAndMetrics:
         taken, following = tensordict.get(self.tensor_keys.action), self._following(tensordict)
         noise = (torch.randn_like(taken) * self.policy_noise).clamp(-self.noise_clip, self.noise_clip)
         with torch.no_grad():
@@ -130,5 +130,5 @@ class TD3Loss(StackedLoss, TorchRLTD3Loss):
         if self.stacked:
             return values(self._copies.get(name, critics, params), inputs, replaced)
         seen = inputs.select(*critics.in_keys, strict=False).update(replaced)
-        found = vmapped_critics(self, seen.expand(self.num_qvalue_nets, *seen.batch_size), params())
-        return found.get(self.tensor_keys.state_action_value).squeeze(-1)
+        action_values = vmapped_critics(self, seen.expand(self.num_qvalue_nets, *seen.batch_size), params())
+        return action_values.get(self.tensor_keys.state_action_value).squeeze(-1)

@@ -38,7 +38,7 @@ def check_servos(model: mujoco.MjModel, joints: Sequence[Joint], file: Path) -> 
         file: Path of the MJCF, for messages.
 
     Raises:
-        RobotError: If one is not, or there is none; the message names it.
+        RobotError: If an actuator is something else, or the model has no actuator; the message names it.
     """
     if model.nu == 0:
         raise RobotError(f"{file} has no actuator: add a <position> for every joint that the policy is to move.")

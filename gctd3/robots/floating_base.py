@@ -1,4 +1,4 @@
-"""The degrees of freedom of a robot's root body: on a boom, in a plane, or free, whatever joints give them.
+"""The degrees of freedom of a robot's root body: on a boom, in a plane, or free, made of any joints.
 
 Frame: forward as the caller says, up, and side to the left of both. Angles: roll about forward, pitch about side (nose
 down is positive), yaw about up (to the left is positive).
@@ -85,17 +85,17 @@ class Base:
     @cached_property
     def single(self) -> dict[str, Coordinate]:
         """Return the coordinates of slides and hinges along an axis of :attr:`frame`, by name."""
-        found = {}
+        coordinates = {}
         for joint in base_joints(self.model, self.root):
             kind = joint_kind(self.model, joint)
             if kind not in ("slide", "hinge"):
                 continue
             along = self.frame @ self._reference_axis(joint)
             for name, component in zip(SLIDES if kind == "slide" else TURNS, along, strict=True):
-                if abs(component) > 0.999 and name not in found:
+                if abs(component) > 0.999 and name not in coordinates:
                     place = int(self.model.jnt_qposadr[joint]), int(self.model.jnt_dofadr[joint])
-                    found[name] = Coordinate(*place, float(np.sign(component)))
-        return found
+                    coordinates[name] = Coordinate(*place, float(np.sign(component)))
+        return coordinates
 
     def _reference_axis(self, joint: int) -> np.ndarray:
         turn = np.zeros(9)

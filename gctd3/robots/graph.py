@@ -1,6 +1,6 @@
 """The kinematic graph of a robot, and the matrices that graph convolutions multiply by.
 
-Stage two of the data flow. NumPy, but for what other libraries take. Symbols used throughout the library:
+Stage two of the data flow. NumPy, except for the conversions to other libraries. Symbols used throughout the library:
 
 * ``N``: nodes of the graph, ``F``: features of a node (per frame times frames), ``A``: actions, ``J``: joints,
 * ``*``: any number of leading (batch) dimensions.

@@ -32,8 +32,8 @@ def swap_side(name: str, known: Collection[str]) -> str:
     ``FR_foot`` and ``FL_foot``.
     """
     for right, left in _SIDES:
-        for here, there in ((right, left), (left, right)):
-            swapped = re.sub(rf"(?<![a-zA-Z]){here}(?![a-zA-Z])", there, name)
+        for side, other in ((right, left), (left, right)):
+            swapped = re.sub(rf"(?<![a-zA-Z]){side}(?![a-zA-Z])", other, name)
             if swapped != name and swapped in known:
                 return swapped
     # Front or rear, and a side.

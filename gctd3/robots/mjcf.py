@@ -135,7 +135,7 @@ def root_body(model: mujoco.MjModel, file: Path, name: str | None = None) -> int
         name: Name of the root, for a file with several robots; the others are then scenery, too.
 
     Raises:
-        RobotError: If there is none, or more than one and none is named.
+        RobotError: If no body qualifies, or more than one and none is named.
     """
     trees = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0]
     joints = {b: sum(int(model.body_jntnum[c]) for c in bodies_below(model, b)) for b in trees}
@@ -186,7 +186,7 @@ def read_joints(model: mujoco.MjModel, root: int, file: Path, driven: bool = Fal
             then the next of them towards the root.
 
     Raises:
-        RobotError: If there is none.
+        RobotError: If the robot has no joint outside its base.
     """
     joints: list[Joint] = []
     last_on_body: dict[int, str] = {}
@@ -269,6 +269,6 @@ def named_pose(model: mujoco.MjModel) -> tuple[str, np.ndarray] | None:
 
 
 def standing_pose(model: mujoco.MjModel) -> np.ndarray:
-    """Return the ``qpos`` of the named standing pose, else of the reference pose, at whatever height. ``[nq]``."""
+    """Return the ``qpos`` of the named standing pose, else of the reference pose, at any height. ``[nq]``."""
     named = named_pose(model)
     return model.qpos0.copy() if named is None else named[1]

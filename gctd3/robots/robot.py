@@ -42,7 +42,7 @@ _LATERAL = 0.7  # least component across the body of the axis of a hip that swin
 
 @dataclass(frozen=True)
 class Robot:
-    """Represent a robot with a root body and joints below it; :meth:`check_walking` checks what else walking requires.
+    """Represent a robot with a root body and joints below it; :meth:`check_walking` checks the requirements of walking.
 
     Build it with :meth:`from_mjcf`, which reads its properties from the model.
 
@@ -203,7 +203,7 @@ class Robot:
         """Return the joint with a given name.
 
         Raises:
-            RobotError: If there is none; the message lists those there are.
+            RobotError: If no joint has this name; the message lists the joints.
         """
         for joint in self.joints:
             if joint.name == name:
@@ -318,9 +318,9 @@ class Robot:
     def _joints_above(self, body: str) -> list[Joint]:
         index = self._bodies[body]
         while index:
-            found = [j for j in self.joints if self._bodies[j.body] == index]
-            if found:
-                return found
+            moving = [j for j in self.joints if self._bodies[j.body] == index]
+            if moving:
+                return moving
             index = int(self.model.body_parentid[index])
         return []
 
@@ -336,14 +336,14 @@ class Robot:
         Raises:
             RobotError: If a body has no ``<contact ... data="found"/>`` sensor.
         """
-        found = self._contact_sensors
-        missing = [body for body in bodies if body not in found]
+        sensors = self._contact_sensors
+        missing = [body for body in bodies if body not in sensors]
         if missing:
             raise RobotError(
                 f"{self.path} has no ground-contact sensor for {', '.join(missing)}; add for each "
                 '<sensor><contact body1="NAME" geom2="GROUND" data="found"/></sensor>.'
             )
-        return np.array([found[body] for body in bodies], dtype=np.int64)
+        return np.array([sensors[body] for body in bodies], dtype=np.int64)
 
     @cached_property
     def foot_velocity_sensors(self) -> np.ndarray | None:
@@ -502,7 +502,7 @@ class Robot:
         """Check the requirements for walking: base, hinges, position servos, legs, contact sensors and pose.
 
         Raises:
-            RobotError: If something is missing; the message says what to add.
+            RobotError: If something is missing; the message names the remedy.
         """
         model, file = self.model, self.path
         self.base.check_read(file)

@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from gctd3.errors import ConfigError, check_between, check_seed
-from gctd3.evaluation.settings import Judging, Perturbations
+from gctd3.evaluation.settings import EpisodeSettings, Perturbations
 from gctd3.tasks.reward import Reward
 
 MOST_PIXELS = 16_384  # of a frame's side
 
 
 @dataclass(frozen=True)
-class EvaluateSettings(Judging):
+class EvaluateSettings(EpisodeSettings):
     """Hold the settings of ``gctd3.evaluate``.
 
     Attributes:

@@ -21,7 +21,7 @@ from gctd3.training.saved_configuration import find_run
 from gctd3.viz.live_session import LiveWalk
 
 PACKAGES = ("viser", "mjviser")
-SHIPPED = "shipped with gctd3"  # what the policy in the package is called among runs
+SHIPPED = "shipped with gctd3"  # name of the policy in the package among runs
 
 
 def open_walk(run: str, settings: ViewSettings) -> LiveWalk:
@@ -37,11 +37,13 @@ def open_walk(run: str, settings: ViewSettings) -> LiveWalk:
 
 def choices(run: str | None, runs: str) -> list[str]:
     """List the run, all others with a policy below a directory, newest first, and the one in the package."""
-    there = [path.parent for path in Path(runs).rglob("checkpoints") if path.is_dir()]
-    others = sorted((path for path in there if _has_policy(path)), key=lambda path: path.stat().st_mtime, reverse=True)
+    directories = [path.parent for path in Path(runs).rglob("checkpoints") if path.is_dir()]
+    others = sorted(
+        (path for path in directories if _has_policy(path)), key=lambda path: path.stat().st_mtime, reverse=True
+    )
     mine = find_run(run).resolve()
-    found = [str(path) for path in others if path.resolve() != mine]
-    return [SHIPPED, *found] if run is None else [run, *found, SHIPPED]
+    names = [str(path) for path in others if path.resolve() != mine]
+    return [SHIPPED, *names] if run is None else [run, *names, SHIPPED]
 
 
 def _has_policy(run: Path) -> bool:

@@ -29,7 +29,7 @@ class Setup:
         privileged_critic: Whether the critics observe how near each time-based termination is.
 
     Raises:
-        ConfigError: If the networks do not fit what the task observes.
+        ConfigError: If the networks do not fit the task's observation.
     """
 
     def __init__(self, task: Task, network: NetworkSettings, privileged_critic: bool) -> None:

@@ -5,14 +5,15 @@ The observation, its reflection in the mirror, the exported contract, sensor noi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, suggest
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
-from gctd3.tasks.features import KINDS, NodeFeature, Reading, Sensed
+from gctd3.tasks.features import KINDS, QUANTITIES, NodeFeature, Reading, Sensed
+from gctd3.tasks.term_checks import called, reading
 
 
 class FeatureTable:
@@ -40,24 +41,22 @@ class FeatureTable:
         filled = dict.fromkeys(KINDS, 0)
         self._placed: list[tuple[str, NodeFeature, list[int], int, int]] = []
         rows: list[list[Reading | None]] = [[] for _ in kinds]
+        owners: dict[str, str] = {}
         for name, feature in features.items():
-            if feature.kind not in KINDS:
-                raise ConfigError(
-                    f"task.features.{name}: there are no nodes of kind {feature.kind!r}; kinds: {', '.join(KINDS)}."
-                )
-            nodes = [i for i, kind in enumerate(kinds) if kind == feature.kind]
+            where, asked = f"task.features.{name}", getattr(feature, "kind", None)
+            if asked not in KINDS:
+                raise ConfigError(f"{where}: there are no nodes of kind {asked!r}; kinds: {', '.join(KINDS)}.")
+            nodes = [i for i, kind in enumerate(kinds) if kind == asked]
             if not nodes:
                 continue
-            said = feature.readings(robot, tuple(graph.nodes[i] for i in nodes))
-            if len(said) != len(nodes) or len({len(row) for row in said}) != 1:
-                raise ConfigError(
-                    f"task.features.{name} must say as many readings for each of {len(nodes)} nodes, got {said!r}."
-                )
-            width, start = len(said[0]), filled[feature.kind]
-            filled[feature.kind] += width
+            readings = called(where, feature.readings, robot, tuple(graph.nodes[i] for i in nodes))
+            _check_readings(where, readings, len(nodes))
+            width, start = len(readings[0]), filled[asked]
+            filled[asked] += width
             self._placed.append((name, feature, nodes, start, width))
-            for node, row in zip(nodes, said, strict=True):
+            for node, row in zip(nodes, readings, strict=True):
                 rows[node] += row
+                _own(name, row, owners)
         self.width = max(map(len, rows))
         if not self.width:
             raise ConfigError("task.features must hold at least one feature that a node of the robot has, got none.")
@@ -66,21 +65,16 @@ class FeatureTable:
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """Return the features of every node in one frame (section 2.3), ``float32 [*, N, F]``."""
         numbers = np.zeros((*sensed.now.position.shape, self.graph.num_nodes, self.width), dtype=np.float32)
-        for _, feature, nodes, start, width in self._placed:
+        for name, feature, nodes, start, width in self._placed:
+            values = called(f"task.features.{name}", feature, sensed)
             # Nodes of a kind follow one another.
-            numbers[..., nodes[0] : nodes[-1] + 1, start : start + width] = feature(sensed)
+            numbers[..., nodes[0] : nodes[-1] + 1, start : start + width] = values
         return numbers
 
     def check(self, sensed: Sensed) -> None:
         """Raise a :class:`.ConfigError` unless every feature returns finite numbers of the declared shape."""
         for name, feature, nodes, _, width in self._placed:
-            try:
-                values = np.asarray(feature(sensed))
-            except KeyError as error:
-                known = ", ".join(sensed.memory)
-                raise ConfigError(
-                    f"task.features.{name} reads {error}, which is not remembered. Remembered: {known}."
-                ) from error
+            values = np.asarray(reading(f"task.features.{name}", feature, sensed.memory, sensed))
             expected = (*sensed.now.position.shape, len(nodes), width)
             if values.shape != expected or not np.isfinite(values).all():
                 raise ConfigError(
@@ -99,8 +93,8 @@ class FeatureTable:
                 node, number = np.moveaxis(places, -1, 0)
                 source[nodes, start : start + count] = (node + nodes[0]) * width + start + number
         for i, row in enumerate(self.readings):
-            for k, reading in enumerate(row):
-                sign[i, k] = 1.0 if reading is None else reading.sign
+            for k, one in enumerate(row):
+                sign[i, k] = 1.0 if one is None else one.sign
         return source.reshape(-1), sign.reshape(-1)
 
     def deviations(self, errors: Mapping[str, float]) -> np.ndarray:
@@ -110,3 +104,30 @@ class FeatureTable:
             errors: Standard deviation of each quantity's error; 0 for a quantity that is missing.
         """
         return np.array([[0.0 if r is None else errors.get(r.quantity, 0.0) for r in row] for row in self.readings])
+
+
+def _check_readings(where: str, readings: object, nodes: int) -> None:
+    """Raise a :class:`.ConfigError` unless a feature names as many readings of known quantities for each node."""
+    sequence = readings if isinstance(readings, Sequence) else ()
+    rows = [list(row) for row in sequence if isinstance(row, Sequence)]
+    known = all(one is None or isinstance(one, Reading) for row in rows for one in row)
+    if len(rows) != nodes or len({len(row) for row in rows}) != 1 or not known:
+        raise ConfigError(f"{where} must say as many readings for each of {nodes} nodes, got {readings!r}.")
+    for one in (one for row in rows for one in row if one is not None):
+        if one.quantity not in QUANTITIES:
+            raise ConfigError(
+                f"{where}: the reading {one.name!r} has the quantity {one.quantity!r}, for which there is no sensor "
+                f"noise.{suggest(one.quantity, QUANTITIES)} Quantities: {', '.join(QUANTITIES)}."
+            )
+
+
+def _own(feature: str, row: Sequence[Reading | None], owners: dict[str, str]) -> None:
+    """Raise a :class:`.ConfigError` if a reading has the name of an earlier one: the robot knows them by name."""
+    for one in row:
+        if one is not None and one.name in owners:
+            raise ConfigError(
+                f"task.features.{feature} has a reading {one.name!r}, and so has task.features.{owners[one.name]}: "
+                "each reading needs a name of its own."
+            )
+        if one is not None:
+            owners[one.name] = feature

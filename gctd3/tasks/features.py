@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.terms import RobotFacts
 
 Quantity = Literal["angle", "angular velocity", "length", "velocity", "contact", "command"]
+QUANTITIES: tuple[str, ...] = get_args(Quantity)
 KINDS = ("root", "base", "joint", "ground")  # of nodes
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from gctd3.errors import ConfigError
 from gctd3.tasks.measurement import Measurement
-from gctd3.tasks.term_checks import reading
+from gctd3.tasks.term_checks import called, reading
 from gctd3.tasks.terminations import STEPS
 from gctd3.tasks.terms import Command, Remembered, RobotFacts, Step, Term
 
@@ -31,19 +31,20 @@ class EpisodeMemory:
 
     def __init__(self, terms: Mapping[str, Term], commands: Mapping[str, Command], facts: RobotFacts) -> None:
         self.commands, self.facts = commands, facts
-        found: dict[str, tuple[str, Remembered]] = {}
+        requests: dict[str, tuple[str, Remembered]] = {}
         for where, term in terms.items():
-            for one in term.remembers():
-                asked, known = found.setdefault(one.name, (where, one))
+            for one in called(where, term.remembers):
+                asked, known = requests.setdefault(one.name, (where, one))
                 if known != one or one.name == STEPS or one.name.startswith(COMMAND):
                     raise ConfigError(f"{where} and {asked} remember different things by the name {one.name!r}.")
-        self.remembered = {name: one for name, (_, one) in found.items()}
-        self.asked = {name: where for name, (where, _) in found.items()}
+        self.remembered = {name: one for name, (_, one) in requests.items()}
+        self.asked = {name: where for name, (where, _) in requests.items()}
 
     def begin(self, now: Measurement, rng: Generator | None = None) -> Memory:
         """Return the memory at the start of an episode; see :meth:`.SimulatedTask.begin`."""
         memory = {STEPS: np.zeros(now.position.shape, dtype=np.int64)}
-        memory |= {name: np.asarray(one.begin(now, self.facts)) for name, one in self.remembered.items()}
+        for name, one in self.remembered.items():
+            memory[name] = np.asarray(called(self.asked[name], one.begin, now, self.facts))
         for name, command in self.commands.items():
             memory |= self._drawn(name, command, now.position.shape, rng)
         return memory
@@ -52,7 +53,7 @@ class EpisodeMemory:
         """Return the memory after a step, where ``step.before`` is the memory before it."""
         before = step.before
         after = {STEPS: before[STEPS] + 1}
-        after |= {name: one.update(before[name], step) for name, one in self.remembered.items()}
+        after |= {n: called(self.asked[n], one.update, before[n], step) for n, one in self.remembered.items()}
         for name, command in self.commands.items():
             after |= self._next(name, command, before, rng)
         return after
@@ -66,7 +67,7 @@ class EpisodeMemory:
         """
         for name, one in self.remembered.items():
             expected = (*step.now.position.shape, *map(self.facts.size, one.shape))
-            after = reading(self.asked[name], one.update, step, first[name])
+            after = reading(self.asked[name], one.update, step.before, first[name], step)
             for when, values in (("at a reset", first[name]), ("after a step", np.asarray(after))):
                 if values.shape != expected or values.dtype != first[name].dtype:
                     raise ConfigError(
@@ -78,7 +79,7 @@ class EpisodeMemory:
         if rng is None:
             raise ValueError(f"The command {name!r} is drawn at random: begin and advance need a generator.")
         count = int(np.prod(shape, dtype=int))
-        drawn = np.asarray(command(rng, count))
+        drawn = np.asarray(called(f"task.commands.{name}", command, rng, count))
         if drawn.shape != (count, command.size):
             raise ConfigError(
                 f"task.commands.{name} must draw {[count, command.size]} numbers, got {list(drawn.shape)}."
@@ -93,7 +94,7 @@ class EpisodeMemory:
         over = np.asarray(left <= 0)
         if not over.any():
             return {key: before[key], timer: left}
-        # All are drawn, so that how many are over does not change what the others get.
+        # Rows for all robots are drawn, so that the number of due robots does not change the others' commands.
         fresh = self._drawn(name, command, over.shape, rng)
         return {
             key: np.where(over[..., None], fresh[key], before[key]),

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from gctd3.errors import ConfigError
 from gctd3.tasks import reward_terms as terms
 from gctd3.tasks.term_checks import check_terms
 from gctd3.tasks.terms import RewardTerm
@@ -31,14 +30,13 @@ class Reward:
     """Hold the terms of the reward.
 
     Attributes:
-        terms: Terms by name, in the order of their sum; ``None`` leaves one out.
+        terms: Terms by name, in the order of their sum; ``None`` leaves one out. A task of another library has its
+            own reward, and none here.
     """
 
     terms: Mapping[str, Any] = field(default_factory=paper_terms)
 
     def __post_init__(self) -> None:
-        if not any(term is not None for term in self.terms.values()):
-            raise ConfigError("terms must hold at least one term, got none.")
         object.__setattr__(self, "terms", check_terms("terms", self.terms, RewardTerm))
 
     def to_dict(self) -> dict[str, dict[str, Any]]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gctd3.errors import ConfigError, RobotError, suggest
+from gctd3.errors import ConfigError, RobotError, check_kind, suggest
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.mirror_check import check_mirror
 from gctd3.robots.robot import Robot
@@ -25,7 +25,7 @@ from gctd3.tasks.outcome import Outcome
 from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import Ability, TaskSettings
-from gctd3.tasks.term_checks import check_terms, reading
+from gctd3.tasks.term_checks import called, check_mapping, check_terms, reading, trying
 from gctd3.tasks.terminations import MOST_STEPS, STEPS, TimeLimit
 from gctd3.tasks.terms import Command, Randomisation, RobotFacts, Step, Termination
 
@@ -54,16 +54,17 @@ class Composition(TaskSettings):
             raise ConfigError(f"control_dt must be above 0 s and at most 1 s, got {self.control_dt}.")
         for name, kind in (("terminations", Termination), ("randomisations", Randomisation), ("commands", Command)):
             check_terms(name, getattr(self, name), kind)
+        check_mapping("features", self.features)
         for name, feature in self.features.items():
             if feature is not None and not isinstance(feature, NodeFeature):
                 raise ConfigError(
                     f"features.{name} must be null or a mapping whose _target_ is a NodeFeature, got {feature!r}."
                 )
 
-    def build(self, robot: RobotSettings, reward: Reward) -> SimulatedTask:
-        """Build the task, its robot and its graph."""
+    def build(self, robot: RobotSettings, reward: Reward | None = None) -> SimulatedTask:
+        """Build the task, its robot and its graph; under the paper's reward if ``reward`` is ``None``."""
         loaded = robot.load()
-        return SimulatedTask(loaded, reward, self, robot.graph_of(loaded))
+        return SimulatedTask(loaded, Reward() if reward is None else reward, self, robot.graph_of(loaded))
 
 
 class SimulatedTask:
@@ -91,15 +92,28 @@ class SimulatedTask:
         settings: Composition,
         graph: KinematicGraph | None = None,
     ) -> None:
+        check_kind("reward", reward, Reward)
+        check_kind("settings", settings, Composition)
+        if not reward.terms:
+            raise ConfigError("reward.terms must hold at least one term, got none.")
         self.robot, self.reward, self.settings = robot, reward, settings
         self.control_dt, self.history = settings.control_dt, settings.history
         robot.check_walking()
         self.graph = graph if graph is not None else KinematicGraph.from_robot(robot)
+        with trying():
+            self._compose()
+
+    # Composition.
+
+    def _compose(self) -> None:
+        """Take the terms that fit the robot, and run each of them once."""
+        robot, settings = self.robot, self.settings
         self.facts = RobotFacts.from_robot(robot, self.graph, self.control_dt)
         self.table = FeatureTable({n: f for n, f in settings.features.items() if f is not None}, robot, self.graph)
         self.features = self.table.width
-        self.terminations = self._fitting(settings.terminations)
-        self.commands, self.randomisations = self._fitting(settings.commands), self._fitting(settings.randomisations)
+        self.terminations = self._fitting("task.terminations", settings.terminations)
+        self.commands = self._fitting("task.commands", settings.commands)
+        self.randomisations = self._fitting("task.randomisations", settings.randomisations)
         self.terms = self._reward_terms()
         ends = {f"task.terminations.{name}": term for name, term in self.terminations.items()}
         terms = {f"reward.terms.{name}": term for name, term in self.terms.items()}
@@ -118,14 +132,13 @@ class SimulatedTask:
         self.num_counters = 0
         self._try()
 
-    # Composition.
-
-    def _fitting(self, terms: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: term for name, term in terms.items() if term is not None and term.applies(self.facts)}
+    def _fitting(self, where: str, terms: Mapping[str, Any]) -> dict[str, Any]:
+        given = {name: term for name, term in terms.items() if term is not None}
+        return {n: term for n, term in given.items() if called(f"{where}.{n}", term.applies, self.facts)}
 
     def _reward_terms(self) -> dict[str, Any]:
         """Return the reward terms that apply, without those that read a termination which this task leaves out."""
-        fitting, known = self._fitting(self.reward.terms), self.settings.terminations
+        fitting, known = self._fitting("reward.terms", self.reward.terms), self.settings.terminations
         for name, term in fitting.items():
             for end in term.reads():
                 if end not in known:
@@ -143,7 +156,8 @@ class SimulatedTask:
         now = self.measure(np.broadcast_to(robot.standing_qpos, (*batch, model.nq)), *zeros)
         rng = np.random.default_rng(0)
         for name, randomise in self.randomisations.items():
-            drawn = randomise(rng, robot, robot.start_qpos.copy(), np.zeros(model.nv))
+            start = robot.start_qpos.copy(), np.zeros(model.nv)
+            drawn = called(f"task.randomisations.{name}", randomise, rng, robot, *start)
             shapes = [np.shape(values) for values in drawn] if isinstance(drawn, tuple) else type(drawn).__name__
             if shapes != [(model.nq,), (model.nv,)] or not all(np.isfinite(values).all() for values in drawn):
                 raise ConfigError(
@@ -158,9 +172,10 @@ class SimulatedTask:
             self.memory.check(first, step)
             step = replace(step, after=self.memory.advance(step, rng))
             ended = {f"task.terminations.{name}": term for name, term in self.terminations.items()}
-            held = {where: reading(where, term, step) for where, term in ended.items()}
+            held = {where: reading(where, term, step.before, step) for where, term in ended.items()}
             step = replace(step, ended=dict(zip(self.terminations, held.values(), strict=True)))
-            paid = {f"reward.terms.{n}": reading(f"reward.terms.{n}", term, step) for n, term in self.terms.items()}
+            rewarded = {f"reward.terms.{name}": term for name, term in self.terms.items()}
+            paid = {where: reading(where, term, step.before, step) for where, term in rewarded.items()}
         for values, kinds, asked in ((held, "b", "true or false"), (paid, "fiu", "a finite number")):
             for where, value in values.items():
                 given = np.asarray(value)
@@ -170,7 +185,8 @@ class SimulatedTask:
                         f"{given.dtype}{'' if np.isfinite(given).all() else ' that is not finite'}."
                     )
         for where, term in ended.items():
-            clock, (source, sign) = term.clock(first, self.facts, self.time_limit), term.clock_mirror(self.facts)
+            clock = called(where, term.clock, first, self.facts, self.time_limit)
+            source, sign = called(where, term.clock_mirror, self.facts)
             length = 0 if clock is None else np.shape(clock)[-1]
             if len(source) != length or len(sign) != length:
                 raise ConfigError(
@@ -195,7 +211,7 @@ class SimulatedTask:
             position=place["forward"],
             height=place["height"],
             velocity=np.asarray(read["forward"][1]),
-            # Not by indexing, whose results lie in another order than those of a checkpoint: sums would differ by bits.
+            # Indexing would give another memory layout than a checkpoint has, and sums would differ in their last bits.
             angles=qpos.take(self._qpos, axis=-1),
             velocities=qvel.take(self._qvel, axis=-1),
             feet_down=sensordata.take(self._feet, axis=-1) > 0,
@@ -217,7 +233,10 @@ class SimulatedTask:
 
     def counters(self, memory: Memory) -> np.ndarray:
         """Return the progress to each time-based termination, ``float32 [*, K]``, for critics, not policies."""
-        parts = [term.clock(memory, self.facts, self.time_limit) for term in self.terminations.values()]
+        parts = [
+            called(f"task.terminations.{name}", term.clock, memory, self.facts, self.time_limit)
+            for name, term in self.terminations.items()
+        ]
         shown = [part for part in parts if part is not None]
         if not shown:
             return np.zeros((*memory[STEPS].shape, 0), dtype=np.float32)
@@ -243,8 +262,8 @@ class SimulatedTask:
     def start(self, rng: Generator) -> tuple[np.ndarray, np.ndarray]:
         """Draw the initial pose ``[nq]`` and velocities ``[nv]`` of one robot."""
         qpos, qvel = self.robot.start_qpos.copy(), np.zeros(self.robot.model.nv)
-        for randomise in self.randomisations.values():
-            qpos, qvel = randomise(rng, self.robot, qpos, qvel)
+        for name, randomise in self.randomisations.items():
+            qpos, qvel = called(f"task.randomisations.{name}", randomise, rng, self.robot, qpos, qvel)
         return qpos, qvel
 
     def begin(self, now: Measurement, rng: Generator | None = None) -> Memory:
@@ -278,11 +297,11 @@ class SimulatedTask:
         taken = action if action is not None else np.zeros((*shape, self.facts.actions))
         after: Memory = {}
         ended: dict[str, np.ndarray] = {}
-        # One step for all terms, so that what several of them derive from it is derived once.
+        # One step for all terms, so that quantities that several of them derive from it are derived once.
         step = Step(now, before, after, taken, failed, self.facts, ended)
         after.update(self.memory.advance(step, rng))
-        ended.update({name: term(step) for name, term in self.terminations.items()})
-        terms = {name: term(step) for name, term in self.terms.items()}
+        ended.update({n: called(f"task.terminations.{n}", term, step) for n, term in self.terminations.items()})
+        terms = {name: called(f"reward.terms.{name}", term, step) for name, term in self.terms.items()}
         return after, self._outcome(terms, ended, failed)
 
     def _outcome(self, terms: dict[str, Any], ended: dict[str, Any], diverged: np.ndarray) -> Outcome:
@@ -298,7 +317,7 @@ class SimulatedTask:
 
     # Variants of the task.
 
-    def judged_by(self, reward: Reward) -> SimulatedTask:
+    def with_reward(self, reward: Reward) -> SimulatedTask:
         """Return the same task under another reward."""
         return type(self)(self.robot, reward, self.settings, self.graph)
 

@@ -56,8 +56,12 @@ class Task(Protocol):
             RobotError: If the robot's left and right sides are not symmetric.
         """
 
-    def judged_by(self, reward: Reward) -> Task:
-        """Return the same task under another reward; a task with a reward of its own is unchanged."""
+    def with_reward(self, reward: Reward) -> Task:
+        """Return the same task under another reward; a task that brings its own takes none but an empty one.
+
+        Raises:
+            ConfigError: If the task does not take it.
+        """
 
 
 @dataclass(frozen=True)
@@ -74,8 +78,12 @@ class TaskSettings(ABC):
         check_between(self, 1, MOST_FRAMES, "history")
 
     @abstractmethod
-    def build(self, robot: RobotSettings, reward: Reward) -> Task:
+    def build(self, robot: RobotSettings, reward: Reward | None = None) -> Task:
         """Build the task, its robot and its graph.
+
+        Args:
+            robot: The settings of the robot.
+            reward: The reward; by default the paper's, or that of the library whose task it is.
 
         Raises:
             ConfigError: If a setting does not fit the robot.

@@ -255,7 +255,7 @@ class _PushNewest:
 
 
 @dataclass(frozen=True)
-class Term(ABC):  # noqa: B024 - what each kind of term returns is its own affair
+class Term(ABC):  # noqa: B024 - each kind of term defines its own call
     """Represent a part of a task."""
 
     def remembers(self) -> tuple[Remembered, ...]:

@@ -47,8 +47,8 @@ class WalkSettings(Composition):
     terminations: Mapping[str, Any] = field(default_factory=paper_terminations)
     randomisations: Mapping[str, Any] = field(default_factory=paper_randomisations)
 
-    def build(self, robot: RobotSettings, reward: Reward) -> WalkingTask:
-        """Build the task, its robot and its graph."""
+    def build(self, robot: RobotSettings, reward: Reward | None = None) -> WalkingTask:
+        """Build the task, its robot and its graph; under the paper's reward if ``reward`` is ``None``."""
         loaded = robot.load()
         return WalkingTask(loaded, reward, self, robot.graph_of(loaded))
 
@@ -72,4 +72,5 @@ class WalkingTask(SimulatedTask):
         settings: Composition | None = None,
         graph: KinematicGraph | None = None,
     ) -> None:
-        super().__init__(robot, reward or Reward(), settings or WalkSettings(), graph)
+        asked, composed = Reward() if reward is None else reward, WalkSettings() if settings is None else settings
+        super().__init__(robot, asked, composed, graph)

@@ -19,6 +19,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 import gctd3
+from gctd3.config.build import again
 from gctd3.data.frame_buffer import FrameBuffer
 from gctd3.errors import RunError
 from gctd3.files import (
@@ -43,11 +44,11 @@ PACKAGES = ("gctd3", "torch", "torchrl", "tensordict", "mujoco", "dm-control", "
 
 def versions(more: Iterable[str] = ()) -> dict[str, str]:
     """Return the versions of the packages that a result depends on, and of ``more``."""
-    found = {}
+    installed = {}
     for package in (*PACKAGES, *more):
         with contextlib.suppress(PackageNotFoundError):
-            found[package] = version(package)
-    return found
+            installed[package] = version(package)
+    return installed
 
 
 class Checkpoints:
@@ -98,11 +99,11 @@ class Checkpoints:
         A damaged one is passed over, with a line on stderr.
 
         Raises:
-            RunError: If all are damaged, or they are of another format.
+            RunError: If all checkpoints are damaged, or have another format.
         """
         self._refuse_other_formats()
-        found = sorted(self.directory.glob("step-*"), reverse=True)
-        for path in found:
+        paths = sorted(self.directory.glob("step-*"), reverse=True)
+        for path in paths:
             try:
                 manifest = checked(path)
                 for part in manifest["replay"]:
@@ -113,8 +114,8 @@ class Checkpoints:
                 continue
             rows = ((part["start"], load_tree(self.directory / REPLAY / part["file"])) for part in manifest["replay"])
             return state, rows
-        if found:
-            raise RunError(f"All {len(found)} checkpoints in {self.directory} are damaged.")
+        if paths:
+            raise RunError(f"All {len(paths)} checkpoints in {self.directory} are damaged.")
         return None
 
     def best(self) -> Path:
@@ -124,11 +125,11 @@ class Checkpoints:
             RunError: If no policy has been written.
         """
         self._refuse_other_formats()
-        found = sorted(path for path in self.directory.glob("best-*") if (path / MANIFEST).is_file())
-        if not found:
+        paths = sorted(path for path in self.directory.glob("best-*") if (path / MANIFEST).is_file())
+        if not paths:
             raise RunError(f"No policy in {self.directory}: the run was stopped before its first evaluation.")
         # Two only if the one before was about to be dropped.
-        return found[-1]
+        return paths[-1]
 
     def forget_after(self, frames: int) -> None:
         """Delete checkpoints and policies later than ``frames``, damaged or not: continuing there makes them again."""
@@ -182,8 +183,8 @@ class Checkpoints:
             yield
         except OSError as error:
             raise RunError(
-                f"Cannot write a checkpoint to {self.directory}: {error.strerror or error}. What was written before is "
-                f"whole; when there is room again:  python -m gctd3.train resume={self.run}"
+                f"Cannot write a checkpoint to {self.directory}: {error.strerror or error}. Earlier checkpoints are "
+                f"whole; once there is room again:  {again(self.about, 'train', f'resume={self.run}')}"
             ) from error
 
     def _refuse_other_formats(self) -> None:

@@ -18,7 +18,7 @@ def only_one(run: Path) -> Iterator[None]:
     """Lock the directory of a run; the system releases it when the process ends, however it ends.
 
     Raises:
-        RunError: If another training holds it.
+        RunError: If another training holds the lock.
     """
     run.mkdir(parents=True, exist_ok=True)
     try:

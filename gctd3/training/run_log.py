@@ -21,7 +21,7 @@ from gctd3.training.stop_when import COLUMNS
 from gctd3.viz.film import gif, write_animation
 
 PROGRESS, VIDEOS, CLIP_NAME = "progress.csv", "videos", "evaluation/walk"
-PROJECT = "gctd3"  # what wandb's project and mlflow's experiment are called
+PROJECT = "gctd3"  # name of wandb's project and mlflow's experiment
 
 
 class RunLog:
@@ -57,8 +57,8 @@ class RunLog:
         """Append a row to ``progress.csv`` and its values to the logger."""
         self.rows.append({name: metrics[name] for name in COLUMNS if name in metrics})
         self._write()
-        judged = {f"evaluation/{name}": metrics[name] for name in COLUMNS[3:] if name in metrics}
-        self.scalars(judged, metrics["frames"])
+        scalars = {f"evaluation/{name}": metrics[name] for name in COLUMNS[3:] if name in metrics}
+        self.scalars(scalars, metrics["frames"])
 
     def scalars(self, values: Mapping[str, float], frames: float) -> None:
         """Log scalar values after ``frames`` frames."""
@@ -73,7 +73,7 @@ class RunLog:
         write_animation(path, iter(frames), fps)
         if self._logger is None:
             return
-        # TorchRL's own ways need moviepy or torchcodec to make a video of tensors; this one is made.
+        # TorchRL's log_video needs moviepy or torchcodec to encode tensors; this video is encoded already.
         if self.kind == "tensorboard":
             from tensorboard.compat.proto.summary_pb2 import Summary
 
@@ -105,7 +105,7 @@ class RunLog:
         elif self.kind == "tensorboard" and self._logger is not None:
             from tensorboard.compat.proto.event_pb2 import Event, SessionLog
 
-            # TensorBoard drops what earlier files say of later steps.
+            # TensorBoard drops values of later steps from earlier files.
             again = Event(step=frames + 1, session_log=SessionLog(status=SessionLog.START))
             self._logger.experiment.file_writer.add_event(again)
 
@@ -145,8 +145,8 @@ def make_logger(kind: str, directory: Path) -> Logger | None:
         if kind not in ("wandb", "mlflow"):
             raise
         # Theirs share no base class: no account, no server.
-        said = str(error).strip() or type(error).__name__
-        raise ConfigError(f"logger={kind} cannot begin: {said.splitlines()[0]}") from error
+        reason = str(error).strip() or type(error).__name__
+        raise ConfigError(f"logger={kind} cannot begin: {reason.splitlines()[0]}") from error
 
 
 def _mlflow(directory: Path) -> Logger:

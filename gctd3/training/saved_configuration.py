@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from gctd3.training.settings import TrainSettings
 
 CONFIG, OVERRIDES = Path(".hydra") / "config.yaml", Path(".hydra") / "overrides.yaml"
-# What may differ when a run is continued: none of it changes what the run has learnt so far.
+# Keys that may differ when a run is continued: they do not change what the run has learnt so far.
 HARMLESS = (
     "logger",
     "video",
@@ -65,7 +65,7 @@ def load_config(run: str | Path) -> DictConfig:
     if not directory.is_dir():
         raise RunError(f"No run directory at {directory}.")
     if not file.is_file():
-        raise RunError(f"{directory} is not a run: it has no {CONFIG}. A run is what gctd3.train leaves behind.")
+        raise RunError(f"{directory} is not a run: it has no {CONFIG}. gctd3.train makes runs.")
     try:
         config = OmegaConf.load(file)
     except (OmegaConfBaseException, YAMLError, UnicodeDecodeError, OSError) as error:
@@ -109,12 +109,17 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
         overrides: Overrides of the new command line.
 
     Raises:
-        RunError: If they would change what the run is; the message lists the differences.
+        RunError: If they would change a setting that determines the run; the message lists the differences.
     """
     config, first = load_config(run), command_line(run)
     own = ("resume", "hydra.run.dir", "hydra.output_subdir")
-    # The run's own choices are said again so that Hydra knows their keys; twice they would be too many.
-    new = [item for item in overrides if item.split("=", 1)[0] not in own and item not in first]
+    line = list(first)
+    for item in overrides:
+        # The run's own choices are repeated so that Hydra knows their keys, and a sweep repeats the whole line.
+        if item.split("=", 1)[0] not in own and not _in_force(item, line):
+            # Hydra adds a key by a single + only where it is missing.
+            line.append(f"++{item.lstrip('+')}" if item in line and item.startswith("+") else item)
+    new = line[len(first) :]
     if not new:
         return config, first
     was, known = _composed(root, first)
@@ -128,8 +133,27 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
             "Start a new run for the rest."
         )
     for key, value in difference.items():
-        OmegaConf.update(config, key, value, force_add=True)
-    return config, [*first, *new]
+        parent, _, name = key.rpartition(".")
+        mapping = OmegaConf.select(config, parent) if parent else config
+        if key in after:
+            OmegaConf.update(config, key, value, force_add=True)
+        elif isinstance(mapping, DictConfig):
+            mapping.pop(name, None)
+    return config, line if difference else first
+
+
+def _in_force(item: str, line: Sequence[str]) -> bool:
+    """Tell whether a command line has an override, and none after it of the same key, of its parts or of its whole."""
+    if item not in line:
+        return False
+    place = _place(item)
+    after = map(_place, line[len(line) - line[::-1].index(item) :])
+    return not any(f"{other}.".startswith(f"{place}.") or f"{place}.".startswith(f"{other}.") for other in after)
+
+
+def _place(override: str) -> str:
+    """Return the key or the group that an override is of."""
+    return override.lstrip("+~").split("=", 1)[0]
 
 
 def choices(run: Path, arguments: Sequence[str]) -> list[str]:
@@ -154,8 +178,8 @@ def _composed(root: str, overrides: list[str]) -> tuple[DictConfig, list[str]]:
     try:
         return compose(root, overrides), overrides
     except MissingConfigException:
-        found = [item for item in overrides if chooses(item) is None or ships(item)]
-        return compose(root, found), found
+        kept = [item for item in overrides if chooses(item) is None or ships(item)]
+        return compose(root, kept), kept
 
 
 def command_line(run: Path) -> list[str]:
@@ -179,15 +203,15 @@ def _harmless(key: str) -> bool:
 
 def flat(config: DictConfig, prefix: str = "") -> dict[str, object]:
     """Return the values of a configuration by their dotted path; lists count as values."""
-    found: dict[str, object] = {}
+    values: dict[str, object] = {}
     for key in map(str, config):
         mapping = stored_mapping(config, key)
         if mapping is not None:
-            found |= flat(mapping, f"{prefix}{key}.")
+            values |= flat(mapping, f"{prefix}{key}.")
         else:
             value = config[key]
-            found[f"{prefix}{key}"] = OmegaConf.to_container(value) if OmegaConf.is_config(value) else value
-    return found
+            values[f"{prefix}{key}"] = OmegaConf.to_container(value) if OmegaConf.is_config(value) else value
+    return values
 
 
 def _unusable(file: Path, error: Exception) -> RunError:

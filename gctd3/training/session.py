@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from gctd3.config.build import build
+from gctd3.config.build import again, build, packages
 from gctd3.errors import RunError
+from gctd3.files import remove_empty
 from gctd3.signals import StopRequest
 from gctd3.training.run_lock import only_one
 from gctd3.training.saved_configuration import CONFIG, changed, save_config
 from gctd3.training.sweep import share_cores, stop_file
 
-LOG = "log.txt"  # what runs that are side by side print
+LOG = "log.txt"  # output of runs side by side
 
 
 def train(config: DictConfig) -> float:
@@ -29,9 +31,9 @@ def train(config: DictConfig) -> float:
     """
     stop = StopRequest(stop_file())
     if stop.file is not None:
-        # Beside other runs of a sweep, which is not to end with the first of them.
+        # One of several runs of a sweep side by side: its end must not end the sweep's process.
         return math.nan if stop else _value(_train(config, stop))
-    # From the start: an import that a signal broke off would look like a missing package.
+    # Listen before the imports: one that a signal interrupts would look like a missing package.
     with stop.listening():
         best = _train(config, stop)
     if stop:
@@ -47,27 +49,37 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     if resumed and not (run / CONFIG).is_file():
         raise RunError(f"resume={run}: there is no run to continue; a run has a {CONFIG}.")
     resumed = resumed or (sweeping and (run / CONFIG).is_file())
+    # What the command line itself names is the user's: a sweep that goes on names its terms again.
+    own = packages(config)
     if resumed:
         config, overrides = changed(run, "config", overrides)
     if stop.file is not None:
         share_cores(config)
-    settings = build(config, trusted=not resumed)
+    settings = build(config, trusted=not resumed, besides=own)
     settings.check_here()
     setup = settings.setup()
     # Before anything is written: a robot that cannot be mirrored as asked is refused.
     setup.mirrors(settings.replay.mirror)
     # Imported late, so that --help and a wrong setting are answered at once.
+    from gctd3.training.checkpoint import FOLDER
     from gctd3.training.run_log import refuse_a_run
-    from gctd3.training.trainer import Trainer
+    from gctd3.training.trainer import POST_MORTEM, Trainer
     from gctd3.viz.film import check_film
 
     if settings.video:
         check_film()
-    with only_one(run), _output(run, stop):
+    walks = "film" in setup.task.abilities
+    trainer: Trainer | None = None
+
+    def begun() -> bool:
+        left = [*(run / FOLDER).glob("*"), *run.glob(POST_MORTEM)]
+        return bool(left) or (trainer is not None and trainer.counters.frames > 0)
+
+    with _removed_unless(begun, run), only_one(run), _output(run, stop):
         if not resumed:
             refuse_a_run(run)
         if settings.robot.takes_a_source and setup.robot.source is not None:
-            # Whatever else is installed when the run is continued or judged, it is of this file.
+            # A run keeps to its file, whatever else is installed when it is continued or evaluated.
             config.robot.source = setup.robot.source.place
         trainer = Trainer(settings, run, {"config": OmegaConf.to_container(config, resolve=True)}, setup)
         if resumed and not trainer.restore():
@@ -87,21 +99,38 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
                 "stop_when.evaluations or stop_when.evaluations=null if its conditions ended it."
             )
         trainer.run(stop)
-        print(_summary(trainer.best, run, walks="film" in setup.task.abilities))
+        print(_summary(trainer.best, run, config, walks))
         if not trainer.finished:
-            print(f"Continue it:  python -m gctd3.train resume={run}")
+            print(f"Continue it:  {again(config, 'train', f'resume={run}')}")
     if stop.file is not None:
-        print(f"{run}: {'stopped' if stop else 'done'}. {_said(trainer.best)}", flush=True)
+        print(f"{run}: {'stopped' if stop else 'done'}. {_best_text(trainer.best, walks)}", flush=True)
     return trainer.best
 
 
 @contextlib.contextmanager
+def _removed_unless(begun: Callable[[], bool], run: Path) -> Iterator[None]:
+    """Remove the directory of a new run that fails before its training has begun: there is nothing to continue."""
+    new = not run.is_dir() or not any(run.iterdir())
+    try:
+        yield
+    except BaseException:
+        if new and not begun():
+            for item in run.iterdir():
+                if item.is_dir():
+                    shutil.rmtree(item)
+                else:
+                    item.unlink()
+            remove_empty(run)
+        raise
+
+
+@contextlib.contextmanager
 def _output(run: Path, stop: StopRequest) -> Iterator[None]:
-    """Redirect the output of a run beside others to its log: nobody could tell whose line is whose."""
+    """Redirect the output of a run beside others to its log: on one screen their lines could not be told apart."""
     if stop.file is None:
         yield
         return
-    print(f"{run}: begins; what it prints is in its {LOG}", flush=True)
+    print(f"{run}: begins; its output is in its {LOG}", flush=True)
     with (
         (run / LOG).open("a", encoding="utf-8", buffering=1) as log,
         contextlib.redirect_stdout(log),
@@ -114,18 +143,23 @@ def _value(best: dict[str, float] | None) -> float:
     return math.nan if best is None else best["return_mean"]
 
 
-def _summary(best: dict[str, float] | None, run: Path, walks: bool) -> str:
+def _summary(best: dict[str, float] | None, run: Path, config: DictConfig, walks: bool) -> str:
     """Return the best evaluation and how to look at the policy; only the walking task can be drawn."""
-    judge = f"\nJudge it over 50 episodes:  python -m gctd3.evaluate run={run} episodes=50"
-    judge += f"\nWatch it walk:  python -m gctd3.view run={run}" if walks else ""
-    return f"\n{_said(best)}{judge if best is not None else ''}"
+    advice = f"\nEvaluate it over 50 episodes:  {again(config, 'evaluate', f'run={run}', 'episodes=50')}"
+    advice += f"\nWatch it walk:  {again(config, 'view', f'run={run}')}" if walks else ""
+    return f"\n{_best_text(best, walks)}{advice if best is not None else ''}"
 
 
-def _said(best: dict[str, float] | None) -> str:
+def _best_text(best: dict[str, float] | None, walks: bool) -> str:
+    """Describe the best evaluation by its task's figures: a library's has no success rate, its robot may be fixed."""
     if best is None:
-        return "It has not been evaluated yet, so there is no policy to judge."
+        return "It has not been evaluated yet, so it has no best policy."
+    figures = [f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}"]
+    if walks:
+        figures.append(f"success {best['success_rate']:.0%}")
+    if walks or best["distance_mean"]:
+        figures.append(f"{best['distance_mean']:.1f} m at {best['velocity_mean']:.2f} m/s")
     return (
         f"Best evaluation, after {best['frames']:,.0f} steps and {best['wall_s'] / 60:.1f} minutes: "
-        f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}, success {best['success_rate']:.0%}, "
-        f"{best['distance_mean']:.1f} m at {best['velocity_mean']:.2f} m/s."
+        f"{', '.join(figures)}."
     )

@@ -18,6 +18,8 @@ from torchrl import torchrl_logger
 from tqdm import tqdm
 
 from gctd3.algorithms.base import Algorithm
+from gctd3.config.build import again
+from gctd3.config.fields import in_yaml
 from gctd3.data.build_collector import build_collector
 from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
@@ -78,10 +80,12 @@ class Trainer:
         self.replay = Replay(settings.replay, settings.algo.gamma, task.history, mirror, self.device)
         recipe = EnvRecipe(task, env)
         self.collector = build_collector(settings.collector, recipe, settings.batch_steps, settings.seed, self.explorer)
-        judged = env.judging(settings.evaluation.episodes, env.threads)
-        self.evaluation_env = build_env(task.judged_by(settings.evaluation.reward), judged, settings.evaluation.seed)
-        said = {"graph": {"nodes": setup.graph.nodes, "edges": setup.graph.edges}, **(about or {})}
-        self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, said)
+        evaluated = env.for_evaluation(settings.evaluation.episodes, env.threads)
+        self.evaluation_env = build_env(
+            task.with_reward(settings.evaluation.reward), evaluated, settings.evaluation.seed
+        )
+        manifest = {"graph": {"nodes": setup.graph.nodes, "edges": setup.graph.edges}, **(about or {})}
+        self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, manifest)
         self.log = RunLog(directory, settings.logger)
         self.counters = Counters(next_evaluation=self._first_evaluation)
         self.best: dict[str, float] | None = None
@@ -145,7 +149,8 @@ class Trainer:
                         self.save()
             except WorkerError as error:
                 self.save()
-                raise WorkerError(f"{error}. Continue it:  python -m gctd3.train resume={self.directory}") from error
+                command = again(in_yaml(self.settings), "train", f"resume={self.directory}")
+                raise WorkerError(f"{error}. Continue it:  {command}") from error
             self.save()
         self.evaluation_env.close(raise_if_closed=False)
         return self.best
@@ -243,12 +248,12 @@ class Trainer:
         Raises:
             RunError: If all are damaged or do not fit the settings.
         """
-        found = self.checkpoints.newest()
-        if found is None:
+        newest = self.checkpoints.newest()
+        if newest is None:
             self.checkpoints.forget_after(-1)
             self.log.restore([], -1)
             return False
-        state, rows = found
+        state, rows = newest
         path = self.checkpoints.directory
         fit(path, lambda: self.replay.load_state_dict(state.pop("replay"), rows))
         fit(path, lambda: self.load_state_dict(state))
@@ -282,17 +287,17 @@ class Trainer:
     def _post_mortem(self, error: NumericalError, seen: Mapping[str, TensorDictBase]) -> NumericalError:
         """Save the data needed to find the cause, and return the error that says where they are."""
         target = self.directory / POST_MORTEM
-        said = f"After {self.counters.frames:,} steps and {self.counters.updates:,} updates, {error}."
+        message = f"After {self.counters.frames:,} steps and {self.counters.updates:,} updates, {error}."
         if target.exists():
-            return NumericalError(f"{said} {target} holds what an earlier one left.")
+            return NumericalError(f"{message} {target} already holds the data of an earlier failure.")
         with new_directory(target) as aside:
             for name, batch in seen.items():
                 save_tree(aside / f"{name}.safetensors", batch.to_dict())
             save_tree(aside / STATE, self.state_dict())
-            write_manifest(aside, {"error": said})
+            write_manifest(aside, {"error": message})
         advice = "try a lower algo.learning_rate" if self.counters.updates else "look for it in the terms of the task"
         return NumericalError(
-            f"{said} The last batch and the whole state are in {target} (gctd3.files.load_tree reads them). "
+            f"{message} The last batch and the whole state are in {target} (gctd3.files.load_tree reads them). "
             f"The newest checkpoint is of an earlier moment; {advice}."
         )
 
@@ -301,7 +306,7 @@ class Trainer:
         shown = {
             "updates/s": f"{row['updates'] / max(row['wall_s'], 1e-9):.0f}",
             "return": f"{row['return_mean']:.0f}",
-            "success": f"{row['success_rate']:.0%}",
+            **({"success": f"{row['success_rate']:.0%}"} if "film" in self.setup.task.abilities else {}),
             "best": f"{best['return_mean']:.0f}",
         }
         return {**shown, "diverged": str(self.counters.diverged)} if self.counters.diverged else shown

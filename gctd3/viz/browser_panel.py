@@ -28,7 +28,7 @@ PUSH = 1.0  # change of the whole robot's velocity by the strongest push (m/s)
 FRICTION = (0.05, 1.5)
 # Colours of a leg's joints, from the hip down, and of feet.
 COLOURS = ("#2f6fb5", "#d9772a", "#6b8f4e", "#8a4fa0", "#b5502f", "#4a4f57")
-_CAMERA, _AT = (0.4, -2.3, 0.25), (0.15, 0.0, -0.25)  # from the body, as is what it looks at (m)
+_CAMERA, _AT = (0.4, -2.3, 0.25), (0.15, 0.0, -0.25)  # position and target, from the body (m)
 
 
 class Panel:
@@ -49,9 +49,9 @@ class Panel:
     ) -> None:
         self.server, self.runs, self.seed = server, list(runs), seed
         self._load = load
-        # Browsers' wishes come from threads of their own; the walk belongs to the one that runs it.
+        # Browsers' requests arrive in threads of their own; only the thread that runs the walk may change it.
         self._wishes: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
-        self.paused, self.speed, self._said = False, 1.0, ""
+        self.paused, self.speed, self._message = False, 1.0, ""
         server.gui.configure_theme(control_layout="collapsible", control_width="large", show_share_button=False)
         self._open(self.runs[0], load(self.runs[0]))
 
@@ -180,9 +180,9 @@ class Panel:
         try:
             live = self._load(run)
         except GCTD3Error as error:
-            self._said, self._choice.value = str(error), self.shown
+            self._message, self._choice.value = str(error), self.shown
             return
-        self._said = ""
+        self._message = ""
         self._open(run, live)
 
     def _plot_of(self, leg: int) -> viser.GuiUplotHandle:
@@ -215,7 +215,7 @@ class Panel:
     def _mark(self, metre: int) -> tuple[viser.SceneNodeHandle, ...]:
         forward, side, up = self.live.robot.base.frame
         place = self._origin + metre * forward + 2e-3 * up
-        # Below the ground's own node, which moves when the camera follows.
+        # Children of the ground's scene node, which moves when the camera follows.
         name, ends = f"/fixed_bodies/metre_{metre}", np.stack([place - 0.6 * side, place + 0.6 * side])
         line = self.server.scene.add_line_segments(f"{name}/line", ends[None], (60, 64, 72), thickness=0.02)
         words = self.server.scene.add_label(f"{name}/words", f"{metre} m", position=place - 0.7 * side)
@@ -229,10 +229,10 @@ class Panel:
             [("height", f"{now.height:+.3f} m"), ("reward", f"{now.reward:.2f}")],
             [("return", f"{now.total:.0f}")],
         ]
-        cells = ["".join(f"<td>{key}</td><td class='{key}'><b>{said}</b></td>" for key, said in row) for row in rows]
+        cells = ["".join(f"<td>{key}</td><td class='{key}'><b>{text}</b></td>" for key, text in row) for row in rows]
         style = "margin: 0 0.6em; border-spacing: 0.7em 0; font-size: 0.85em; font-variant-numeric: tabular-nums"
         table = f"<table id='status' style='{style}'>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
-        return table + (f"<p style='color:#c0392b'>{html.escape(self._said)}</p>" if self._said else "")
+        return table + (f"<p style='color:#c0392b'>{html.escape(self._message)}</p>" if self._message else "")
 
     def _plot(self) -> None:
         table = np.array(self._trace, dtype=np.float64)
@@ -241,6 +241,6 @@ class Panel:
         robot, joints = self.live.robot, [joint.name for joint in self.live.robot.joints]
         for leg, plot in zip(robot.legs, self._plots, strict=True):
             plot.data = (table[:, 0], *(table[:, 1 + joints.index(joint.name)] for joint in leg))
-        # One above the other.
+        # The feet's contacts, one above the other.
         feet = table[:, 1 + len(joints) :]
         self._contacts.data = (table[:, 0], *(1.5 * i + feet[:, i] for i in range(feet.shape[1])))

@@ -88,14 +88,14 @@ def _sides(robot: Robot, data: mujoco.MjData) -> dict[str, str]:
     sides = {}
     for joint in robot.joints:
         other = robot.joint(robot.mirror[joint.name])
-        here, there = (
+        right, left = (
             float(data.subtree_com[robot.model.jnt_bodyid[j.id]] @ robot.base.frame[1]) for j in (joint, other)
         )
-        # Of a pair in one place (planar models) the one called left is left, else the later one.
-        if abs(here - there) < 1e-6:
-            here = -float("left" in other.name.lower() or ("left" not in joint.name.lower() and joint.id < other.id))
-            there = 0.0 if here else -1.0
-        sides[joint.name] = "middle" if other is joint else "right" if here < there else "left"
+        # If a pair shares one place (planar models), the joint called left is on the left, otherwise the later one.
+        if abs(right - left) < 1e-6:
+            right = -float("left" in other.name.lower() or ("left" not in joint.name.lower() and joint.id < other.id))
+            left = 0.0 if right else -1.0
+        sides[joint.name] = "middle" if other is joint else "right" if right < left else "left"
     return sides
 
 
@@ -209,7 +209,7 @@ def _names(graph: KinematicGraph, colours: list[str], left: float) -> tuple[list
 
 def show_graph(config: DictConfig) -> None:
     """Print the graph that a configuration asks for, and draw it if ``out`` names a file."""
-    # A robot's YAML also says how to train it.
+    # A robot's YAML also holds settings of its training.
     settings: GraphSettings = build(OmegaConf.masked_copy(config, ["_target_", *GraphSettings.__dataclass_fields__]))
     robot = settings.robot.load(settings.feet)
     graph = KinematicGraph.from_robot(robot, settings.robot.graph, settings.robot.graph_seed)

@@ -42,21 +42,21 @@ def find_backend() -> str:
     """Find the backend to draw with: the one that ``MUJOCO_GL`` names, else the first that works.
 
     Raises:
-        RenderError: If none does; the message says what to install.
+        RenderError: If no backend works; the message names the packages to install.
     """
     known = BACKENDS.get(platform.system(), ("glfw",))
     chosen = os.environ.get(CHOICE, "").lower().strip()
     if chosen and chosen not in known:
         raise RenderError(f"{CHOICE} must be one of {', '.join(known)} here, or not be set; got {chosen!r}.")
-    said = []
+    failures = []
     for name in [chosen] if chosen else known:
         tried = subprocess.run([sys.executable, "-W", "ignore", "-c", _TRY, name], capture_output=True, text=True)
         if tried.returncode == 0:
             return name
         lines = tried.stderr.strip().splitlines() or [f"it ended with {tried.returncode}"]
-        said.append(f"{name}: {lines[-1]}")
+        failures.append(f"{name}: {lines[-1]}")
     wanted = f" {CHOICE}={chosen} allows no other." if chosen else ""
-    raise RenderError(f"There is no OpenGL to draw with.{wanted} {HOW} Tried\n  " + "\n  ".join(said))
+    raise RenderError(f"There is no OpenGL to draw with.{wanted} {HOW} Tried\n  " + "\n  ".join(failures))
 
 
 class Canvas:

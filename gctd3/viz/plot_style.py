@@ -17,7 +17,7 @@ INK = "#010203"  # of text and axes; stands for the page's own colour there
 WIDTH, HEIGHT = 4.6, 2.9  # inches
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
-    "path.simplify_threshold": 0.3,  # points of an SVG that nobody sees
+    "path.simplify_threshold": 0.3,  # invisible points of an SVG
     "font.size": 9,
     "font.family": "sans-serif",
     "axes.spines.top": False,

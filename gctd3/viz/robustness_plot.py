@@ -25,12 +25,12 @@ def conditions_figure(groups: Groups) -> Figure:
     return figure
 
 
-def shoves_figure(groups: Groups) -> Figure | None:
+def pushes_figure(groups: Groups) -> Figure | None:
     """Plot the largest impulse survived at each phase of the stride, a group's mean; ``None`` without any."""
     if not any(_largest(results, direction) is not None for results in groups.values() for direction in DIRECTIONS):
         return None
     figure, axes = new()
-    _shoves(axes[0, 0], groups)
+    _pushes(axes[0, 0], groups)
     return figure
 
 
@@ -39,7 +39,7 @@ def save(results: Mapping[str, Any], file: Path) -> None:
     groups = {"": [results]}
     figure, axes = new(2, 1, height=_height(groups) + 2.9)
     _conditions(axes[0, 0], groups)
-    _shoves(axes[1, 0], groups)
+    _pushes(axes[1, 0], groups)
     with matplotlib.rc_context(STYLE):
         figure.savefig(file, format="png", dpi=160, facecolor="white")
 
@@ -57,12 +57,12 @@ def _conditions(ax: Axes, groups: Groups) -> None:
     width = 0.8 / len(groups)
     for i, (group, colour) in enumerate(colours(list(groups)).items()):
         for row, name in enumerate(names):
-            found = [r["conditions"][name]["success_rate"] for r in groups[group] if name in r["conditions"]]
-            if found:
+            rates = [r["conditions"][name]["success_rate"] for r in groups[group] if name in r["conditions"]]
+            if rates:
                 place = row - 0.4 + width * (i + 0.5)
                 label = group if row == 0 and group else None
-                ax.barh(place, np.mean(found), height=0.85 * width, color=colour, label=label)
-                ax.plot(found, [place] * len(found), "|", color=INK, ms=4, alpha=0.6)
+                ax.barh(place, np.mean(rates), height=0.85 * width, color=colour, label=label)
+                ax.plot(rates, [place] * len(rates), "|", color=INK, ms=4, alpha=0.6)
     ax.set(xlim=(0, 1.02), yticks=range(len(names)), ylim=(len(names) - 0.4, -0.6))
     ax.set_yticklabels(names)
     ax.set_xlabel("share of episodes that reach the finish")
@@ -72,7 +72,7 @@ def _conditions(ax: Axes, groups: Groups) -> None:
         legend(ax)
 
 
-def _shoves(ax: Axes, groups: Groups) -> None:
+def _pushes(ax: Axes, groups: Groups) -> None:
     for group, colour in colours(list(groups)).items():
         for direction, sign in DIRECTIONS.items():
             values = _largest(groups[group], direction)
@@ -86,7 +86,7 @@ def _shoves(ax: Axes, groups: Groups) -> None:
                 marker="o",
                 ms=3,
                 lw=1.6,
-                # Of many groups the colour says whose a line is, its dashes where to.
+                # With several groups the colour stands for the group, and dashes for the backward direction.
                 label=direction if len(groups) == 1 else group if sign > 0 else None,
             )
     ax.set(xlabel="part of the stride since a touchdown of the first foot", ylabel="impulse survived, N s")
@@ -97,8 +97,8 @@ def _shoves(ax: Axes, groups: Groups) -> None:
 
 def _largest(results: Sequence[Mapping[str, Any]], direction: str) -> np.ndarray | None:
     """Return the mean over the policies with a result, shape ``[phases]``; another number of phases is left out."""
-    found = [r["shoves"]["largest"][direction] for r in results if r.get("shoves")]
-    rows = [np.array([np.nan if value is None else value for value in row], dtype=float) for row in found]
+    impulses = [r["pushes"]["largest"][direction] for r in results if r.get("pushes")]
+    rows = [np.array([np.nan if value is None else value for value in row], dtype=float) for row in impulses]
     rows = [row for row in rows if len(row) == len(rows[0]) and np.isfinite(row).any()]
     if not rows:
         return None

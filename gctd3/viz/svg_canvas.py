@@ -91,7 +91,7 @@ def _svg(thing: Polygon | Disc | Words) -> str:
         return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{thing.radius:g}" fill="{thing.fill}" {line}/>'
     x, y = thing.at
     anchor = ' text-anchor="middle"' if thing.centred else ""
-    # A third of the size below the middle is where the middle's letters stand.
+    # A baseline a third of the size below the middle centres the letters vertically.
     place = f'x="{x:.1f}" y="{y + 0.35 * thing.size:.1f}" font-size="{thing.size:g}"'
     return f'<text {place} fill="{thing.fill}"{anchor}>{escape(thing.text)}</text>'
 

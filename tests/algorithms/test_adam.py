@@ -59,7 +59,7 @@ def test_a_restored_state_goes_on_from_there(pair):
     saved = copy.deepcopy(optimizers[0].state_dict())
     values = [p.detach().clone() for p in sets[0]]
     descend(optimizers, sets, 4)
-    # Into PyTorch's and into ours, which has stepped elsewhere since.
+    # Load the state into PyTorch's Adam and into ours, which has taken other steps since.
     for optimizer, those in zip(optimizers, sets, strict=True):
         for parameter, value in zip(those, values, strict=True):
             parameter.data.copy_(value)
@@ -92,7 +92,7 @@ def test_what_never_gets_a_gradient_stays(pair):
     "turns", [[(0,), (0, 1), (1,), (0, 1, 2, 3)], [(0, 1, 2), (0,), (0, 1, 2)], [(), (1,), (1, 3)]], ids=str
 )
 def test_gradients_that_come_and_go(pair, turns):
-    """Parameters that get a gradient late, or not always: PyTorch's steps with those that have one."""
+    """Parameters whose gradients come late, or only sometimes, take PyTorch's steps whenever they have one."""
     optimizers, sets = pair
     for turn in turns:
         for optimizer, those in zip(optimizers, sets, strict=True):

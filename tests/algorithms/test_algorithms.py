@@ -1,4 +1,4 @@
-"""TD3, DDPG and SAC: who learns from which loss, when targets move and where to, and that each learns a toy problem."""
+"""TD3, DDPG and SAC: each loss trains its own networks, targets move as in the paper, and each learns a toy problem."""
 
 import copy
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ every_algorithm = pytest.mark.parametrize("name", KINDS)
 
 
 def groups(algorithm):
-    """The parameters of each network under training, by the name of its optimiser."""
+    """Return the parameters of each network under training, by the name of its optimiser."""
     loss = algorithm.loss
     critic = loss.qvalue_network_params if hasattr(loss, "qvalue_network") else loss.value_network_params
     found = {"actor": trainable(loss.actor_network_params), "critic": trainable(critic)}
@@ -30,7 +30,7 @@ def trainable(params):
 
 
 def values(params):
-    """A copy that training does not change."""
+    """Copy parameters, so that training does not change them."""
     return {key: value.detach().clone() for key, value in sorted(params.flatten_keys(".").items())}
 
 
@@ -39,7 +39,7 @@ def same(a, b):
 
 
 def targets(algorithm):
-    """Pairs of parameters and what follows them, by name."""
+    """Return pairs of parameters and their targets, by name."""
     loss, pairs = algorithm.loss, {}
     for net in ("actor_network", "value_network", "qvalue_network"):
         learnt, target = getattr(loss, f"{net}_params", None), getattr(loss, f"target_{net}_params", None)
@@ -54,14 +54,14 @@ def act(policy, nodes):
         return policy(TensorDict({"nodes": nodes}, [len(nodes)]))["action"]
 
 
-# Who learns from what.
+# The networks that each loss trains.
 
 
 @every_algorithm
 def test_a_step_of_one_optimiser_leaves_the_other_networks_alone(name):
     for stepped in groups(build(name)):
         algorithm = build(name)
-        for _ in range(4):  # away from where everything starts
+        for _ in range(4):  # away from the initial weights
             algorithm.update(going_on())
         before = {group: {k: v.detach().clone() for k, v in ps.items()} for group, ps in groups(algorithm).items()}
         algorithm.loss.zero_grad(set_to_none=True)
@@ -78,7 +78,7 @@ def test_a_step_of_one_optimiser_leaves_the_other_networks_alone(name):
 
 
 def leaves(tensor):
-    """Whose gradients a backward pass from ``tensor`` computes."""
+    """Return the tensors for which a backward pass from ``tensor`` computes gradients."""
     seen, waiting, found = set(), [tensor.grad_fn], {}
     while waiting:
         node = waiting.pop()
@@ -129,12 +129,12 @@ def test_the_critics_see_the_counters_and_the_policy_does_not(name):
     assert len(set(losses)) == 3
 
 
-# What critics learn towards.
+# The critics' targets.
 
 
 @dataclass(frozen=True)
 class TwoEverywhere(Architecture):
-    """Critics that begin with the value 2 for everything."""
+    """Begin as critics with the value 2 everywhere."""
 
     def critic(self):
         critic = super().critic()
@@ -146,7 +146,7 @@ class TwoEverywhere(Architecture):
 
 @every_algorithm
 def test_bootstrap_by_hand(name):
-    # gamma 0.5, every value 2, every reward 1, no noise on the targets, an entropy that weighs nothing:
+    # gamma 0.5, every value 2, every reward 1, no noise on the targets, an entropy of weight zero:
     #   one step, goes on        1 + 0.5   * 2 = 2     error 0
     #   two steps, goes on       1 + 0.5^2 * 2 = 1.5   error 0.5
     #   two steps, truncated     1 + 0.5^2 * 2 = 1.5   error 0.5
@@ -163,7 +163,7 @@ def test_bootstrap_by_hand(name):
     assert loss == pytest.approx(2 * 0.375 if name == "td3" else 0.375, abs=1e-4)
 
 
-# When targets move, and where to.
+# Times and sizes of the targets' updates.
 
 
 @pytest.mark.parametrize(("name", "every"), [("td3", 1), ("td3", 2), ("td3", 3), ("ddpg", 1), ("sac", 1)])
@@ -243,7 +243,7 @@ def assert_identical(a, b):
 @pytest.mark.parametrize("where", ["memory", "disk"])
 @every_algorithm
 def test_a_restored_algorithm_continues_identically(name, where, tmp_path):
-    first = train(build(name), 3, seed=1)  # three: TD3's actor is due next
+    first = train(build(name), 3, seed=1)  # after three updates TD3's actor is due next
     other = train(build(name, seed=7), 2, seed=8)
     if where == "memory":
         other.load_state_dict(copy.deepcopy(first.state_dict()))
@@ -278,7 +278,7 @@ def test_learns_a_toy_problem(name, network):
     def error():
         return float((act(algorithm.policy(), nodes) - goal(nodes)).pow(2).mean())
 
-    # The best action that does not look at the nodes is 0, with a mean squared error of 0.3; so is a fresh policy's.
+    # The best action without the nodes is 0, with a mean squared error of 0.3; a fresh policy has about the same.
     assert error() > 0.25
     for _ in range(300):
         algorithm.update(batch())

@@ -11,14 +11,14 @@ from toy_algorithms import KINDS, build, going_on
 from gctd3.algorithms.base import EAGER
 
 UPDATES = EAGER + 4
-# What PyTorch, TensorDict and TorchRL say of their own code while it is traced.
+# Warnings of PyTorch, TensorDict and TorchRL about their own code while it is traced.
 pytestmark = [
     pytest.mark.filterwarnings(f"ignore::{kind}") for kind in ("DeprecationWarning", "FutureWarning", "UserWarning")
 ]
 
 
 def updated(name, compiled):
-    """An algorithm after a few updates, and what the last one said."""
+    """Return an algorithm after a few updates, and the metrics of the last one."""
     algorithm = build(name, compile=compiled)
     for i in range(UPDATES):
         torch.manual_seed(i)
@@ -26,10 +26,10 @@ def updated(name, compiled):
     return algorithm, metrics
 
 
-# Tracing takes long; what of it depends on the algorithm is its losses.
+# Tracing takes long; only the losses differ between algorithms.
 @pytest.mark.parametrize("name", [pytest.param(kind, marks=[pytest.mark.nightly] * (kind != "td3")) for kind in KINDS])
 def test_traced_losses_update_as_they_are(name, monkeypatch):
-    """Traced as for the compiler, and then run as they are: bit for bit the same."""
+    """Losses that are traced for the compiler, and run without it, update bit for bit as the original ones."""
     traced, compiler = [], torch.compile
 
     def trace(function, mode):
@@ -65,7 +65,7 @@ def test_a_compiled_training(tmp_path, name, monkeypatch):
     assert not compiled
     ours = rows(train(tmp_path / "compiled", f"algo={name}", "algo.compile=true"))
     assert compiled
-    # Sums in another order differ in the last bits, and a falling robot soon makes more of it.
+    # Sums in another order differ in the last bits, and a falling robot soon amplifies that.
     assert [row["frames"] for row in ours] == [row["frames"] for row in plain]
     assert [row["updates"] for row in ours] == [row["updates"] for row in plain]
     assert float(ours[0]["return_mean"]) == pytest.approx(float(plain[0]["return_mean"]), rel=1e-2)

@@ -1,9 +1,7 @@
 """Every kernel equals its plain version, values and gradients; with GCTD3_PLAIN=1 a training ends as one without."""
 
 import itertools
-import os
-import subprocess
-import sys
+from importlib.util import module_from_spec
 
 import pytest
 import torch
@@ -34,7 +32,7 @@ def test_stacked_layers(sizes, shared):
         out = function(*inputs)
         weights = torch.linspace(-1.0, 1.0, out.numel(), dtype=torch.float64).reshape(out.shape)
         found.append([out, *torch.autograd.grad((weights * out.sin()).sum(), inputs)])
-    # And each network alone, by PyTorch's own function.
+    # Each network alone, by PyTorch's own function.
     alone = []
     for k in range(len(parameters[0])):
         y = x if shared else x[k]
@@ -56,7 +54,7 @@ def test_stacked_layers_against_finite_differences():
 
 @pytest.mark.parametrize("trained", [(0,), (1,), (2,), (4,), (0, 3), (1, 2)], ids=str)
 def test_stacked_layers_of_which_only_some_are_trained(trained):
-    """The gradients that are asked for, and no others."""
+    """Only the gradients that are required are computed."""
     x, parameters = network((3, 4, 2))
     found = []
     for function in (kernels.stacked_layers, kernels.stacked_layers_plain):
@@ -151,12 +149,14 @@ def test_the_switch_takes_every_plain_version(monkeypatch):
 
 
 @pytest.mark.parametrize("said, plain", [(None, False), ("", False), ("0", False), ("1", True)])
-def test_the_environment_variable(said, plain):
-    environment = {key: value for key, value in os.environ.items() if key != kernels.VARIABLE}
-    code = "from gctd3.nn import kernels; print(kernels.plain())"
-    environment |= {} if said is None else {kernels.VARIABLE: said}
-    ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    assert ended.stdout.strip() == str(plain)
+def test_the_environment_variable(monkeypatch, said, plain):
+    """As the module finds it when it is imported: a second copy of it, beside the one that is used."""
+    monkeypatch.delenv(kernels.VARIABLE, raising=False)
+    if said is not None:
+        monkeypatch.setenv(kernels.VARIABLE, said)
+    copy = module_from_spec(kernels.__spec__)
+    kernels.__spec__.loader.exec_module(copy)
+    assert copy is not kernels and copy.plain() is plain
 
 
 @pytest.mark.parametrize("name", ["td3", "sac", "ddpg"])
@@ -177,9 +177,9 @@ def test_updates_without_kernels_end_where_those_with_them_do(name):
         torch.testing.assert_close(value, plain[key], rtol=1e-4, atol=1e-5)
 
 
-def test_a_plain_training(tmp_path):
+def test_a_plain_training(finished, tmp_path):
     with kernels.use_plain():
         plain = rows(train(tmp_path / "plain", "algo=gctd3"))
-    fast = rows(train(tmp_path / "fast", "algo=gctd3"))
+    fast = rows(finished["gctd3"])
     assert [row["updates"] for row in plain] == [row["updates"] for row in fast]
     assert float(plain[0]["return_mean"]) == pytest.approx(float(fast[0]["return_mean"]), rel=1e-2)

@@ -14,7 +14,16 @@ from gctd3.errors import PerformanceWarning
 
 KINDS = {"td3": "PlainTD3", "sac": "PlainSAC", "ddpg": "PlainDDPG"}
 each = pytest.mark.parametrize("name", KINDS)
-# DDPG has one critic, and no vmap to warn of.
+
+
+def quick(*names):
+    """Parametrise over the kinds: those that are not named run every night."""
+    return pytest.mark.parametrize(
+        "name", [name if name in names else pytest.param(name, marks=pytest.mark.nightly) for name in KINDS]
+    )
+
+
+# DDPG has one critic, so it has no vmap and no warning.
 pytestmark = pytest.mark.filterwarnings("ignore::gctd3.errors.PerformanceWarning")
 
 
@@ -22,7 +31,7 @@ def plain(name, privileged_dim=PRIVILEGED, **settings):
     return build(name, None, privileged_dim, plain_networks.PlainArchitecture, **settings)
 
 
-@each
+@quick("td3", "ddpg")
 def test_learns_a_toy_problem(name):
     settings = {"alpha": 0.05} if name == "sac" else {}
     algorithm = plain(name, 0, learning_rate=3e-3, tau=0.05, **settings)
@@ -58,6 +67,7 @@ def test_privileged_critics_and_a_restored_state(name):
     assert len(set(losses)) == 3
 
 
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning")
 def test_traced_losses_update_as_they_are(monkeypatch):
     compiler = torch.compile
@@ -73,25 +83,25 @@ def test_traced_losses_update_as_they_are(monkeypatch):
         torch.testing.assert_close(value, states[1][key])
 
 
-@each
-def test_trains_and_is_judged_from_the_command_line(tmp_path, name):
+@quick("td3")
+def test_trains_and_is_evaluated_from_the_command_line(tmp_path, name):
     run = train(tmp_path / "run", f"algo={name}", f"algo._target_=plain_networks.{KINDS[name]}")
     assert float(rows(run)[-1]["updates"]) > 0
-    assert command("evaluate", f"run={run}", "episodes=2", f"out={tmp_path / 'judged'}") == 0
-    assert json.loads((tmp_path / "judged" / "evaluation.json").read_text())
+    assert command("evaluate", f"run={run}", "episodes=2", f"out={tmp_path / 'evaluated'}") == 0
+    assert json.loads((tmp_path / "evaluated" / "evaluation.json").read_text())
 
 
 def test_a_training_says_that_it_is_slower(tmp_path):
     with pytest.warns(PerformanceWarning) as said:
         train(tmp_path / "run", "algo=td3", "algo._target_=plain_networks.PlainTD3")
-    # Python shows it once: settings are checked by building what they say, and then built.
+    # Python shows the warning once, though the networks are built twice, first to check the settings.
     assert (
         len({(str(one.message), one.filename, one.lineno) for one in said if one.category is PerformanceWarning}) == 1
     )
 
 
 def test_a_network_that_is_ours_in_parts(tmp_path):
-    """A subclass of the settings of networks, whose fully connected layers are PyTorch's."""
+    """A subclass of ``Network`` with fully connected layers of PyTorch trains."""
     target = "network._target_=plain_networks.PlainHead"
     assert rows(train(tmp_path / "run", "algo=sac", target))
     assert isinstance(plain_networks.PlainHead().head(3, 1)[0], nn.Linear)

@@ -1,4 +1,4 @@
-"""The benchmarks: what they make of hand-made rows, what they say to a wrong option, and that a peer trains."""
+"""The benchmarks: tables of made-up rows, errors for wrong options, and trainings of the peers."""
 
 import csv
 import importlib
@@ -86,7 +86,7 @@ def test_memory_is_compared_once_the_replay_is_full():
 
 
 def test_resident_memory_is_what_python_itself_counts():
-    usage = pytest.importorskip("resource").getrusage(0).ru_maxrss / 1e3  # kB, the most that there was
+    usage = pytest.importorskip("resource").getrusage(0).ru_maxrss / 1e3  # kB, the maximum so far
     assert 0 < importlib.import_module("memory").resident(os.getpid()) < 1.1 * 1.024 * usage
 
 
@@ -158,7 +158,7 @@ def test_plan_takes_turns_and_names_who_is_not_installed(race, monkeypatch):
         race.plan({"contenders": "gctd3,ppo", "seeds": "0", "our_seeds": ""})
 
 
-# Stands in for a training: writes what it is told, then stays or goes.
+# A stand-in for a training: it writes the given rows, then stays or ends.
 STAND_IN = """
 import pathlib, sys, time
 rows, code = sys.argv[2].split(";"), int(sys.argv[3])
@@ -189,7 +189,7 @@ def test_race_ends_when_it_walks_or_its_time_is_up(race, tmp_path, capsys, rows,
 
 
 def test_an_interrupt_ends_the_trainings_and_reports_what_was_over(race, tmp_path, monkeypatch, capsys):
-    """One run has walked and the next is under way when the kill comes."""
+    """An interrupt in the second training ends it, and the finished first one is reported."""
     handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
     pid, out = tmp_path / "pid", tmp_path / "out.json"
     stays = f"import os, pathlib, time; pathlib.Path({str(pid)!r}).write_text(str(os.getpid())); time.sleep(600)"
@@ -227,18 +227,18 @@ def test_an_interrupt_ends_the_trainings_and_reports_what_was_over(race, tmp_pat
     assert "Interrupted; what has ended is reported." in capsys.readouterr().out
 
 
-def test_peers_are_judged_for_the_default_trainings_rewards():
+def test_peers_are_evaluated_for_the_default_trainings_rewards():
     settings = importlib.import_module("peers").shared_settings(every=123, episodes=5)
     assert settings.reward.terms["living"].weight == 0.5
     assert (settings.evaluation.every, settings.evaluation.episodes) == (123, 5)
     assert settings.evaluation.reward.terms["living"].weight == -0.1
 
 
-def test_stock_torchrl_trains_and_is_judged(tmp_path):
+def test_stock_torchrl_trains_and_is_evaluated(tmp_path):
     peers = importlib.import_module("peers")
-    judge = peers.Judge(peers.shared_settings(every=100, episodes=2), tmp_path, minutes=1.0, threads=1)
+    evaluator = peers.Evaluator(peers.shared_settings(every=100, episodes=2), tmp_path, minutes=1.0, threads=1)
     recipe = peers.StockRecipe(init_random_frames=100, frames_per_batch=50, size=300, batch_size=16, prefetch=0)
-    peers.stock_torchrl(judge, 0, recipe, total_frames=200)
+    peers.stock_torchrl(evaluator, 0, recipe, total_frames=200)
     rows = importlib.import_module("gait_table").read_progress(tmp_path / "progress.csv")
     # Learning starts with the batch that completes the random frames.
     assert [(row["frames"], row["updates"]) for row in rows] == [(100, 50), (200, 150)]
@@ -247,11 +247,11 @@ def test_stock_torchrl_trains_and_is_judged(tmp_path):
 
 
 @pytest.mark.nightly
-def test_stable_baselines3_trains_and_is_judged(tmp_path):
+def test_stable_baselines3_trains_and_is_evaluated(tmp_path):
     pytest.importorskip("stable_baselines3")
     peers = importlib.import_module("peers")
-    judge = peers.Judge(peers.shared_settings(every=110, episodes=2), tmp_path, minutes=0.05, threads=1)
-    peers.stable_baselines("stable_baselines3", judge, 0)
+    evaluator = peers.Evaluator(peers.shared_settings(every=110, episodes=2), tmp_path, minutes=0.05, threads=1)
+    peers.stable_baselines("stable_baselines3", evaluator, 0)
     row = importlib.import_module("gait_table").read_progress(tmp_path / "progress.csv")[0]
     # The first 100 steps are random.
     assert (row["frames"], row["updates"]) == (110, 9)

@@ -1,4 +1,4 @@
-"""The benchmark's bound does the work of a TD3 update: gradients and steps against autograd's and PyTorch's Adam."""
+"""The benchmark's lower bound does the work of a TD3 update: its gradients and steps equal autograd's and Adam's."""
 
 import importlib
 from pathlib import Path
@@ -19,7 +19,7 @@ def by_hand(monkeypatch):
 
 
 def modules(networks):
-    """The same networks as PyTorch's modules."""
+    """Return the same networks as PyTorch's modules."""
     made = []
     for i in range(len(networks.weights[0])):
         layers = []

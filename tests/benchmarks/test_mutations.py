@@ -1,4 +1,4 @@
-"""Planted faults: what is changed of a file, that a fault is known in another layout, and who finds it."""
+"""Planted faults: how a file is changed, how a fault is recognised in another layout, and which tests find it."""
 
 import importlib
 import sys
@@ -53,7 +53,7 @@ def test_faults_by_hand(module):
 
 
 def made(root, folder):
-    """A checkout whose module lies in a folder."""
+    """Make a checkout whose module lies in a folder."""
     for name in ("gctd3", "conf", "tests", f"gctd3/{folder}"):
         (root / name).mkdir(exist_ok=True, parents=True)
         (root / name / "__init__.py").touch()
@@ -62,7 +62,8 @@ def made(root, folder):
     return root
 
 
-@pytest.mark.parametrize("seed, outcome", [pytest.param(1, "survived", marks=pytest.mark.nightly), (3, "killed")])
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed, outcome", [(1, "survived"), (3, "killed")])
 def test_the_same_fault_in_two_layouts(module, tmp_path, monkeypatch, capsys, seed, outcome):
     trees = [f"{name}:{made(tmp_path / name, folder)}:{sys.executable}" for name, folder in (("a", "x"), ("b", "y"))]
     monkeypatch.setattr(module, "GROUPS", {"task": ["gctd3/x/*.py"]})
@@ -75,7 +76,7 @@ def test_the_same_fault_in_two_layouts(module, tmp_path, monkeypatch, capsys, se
     assert [mutant["results"][name]["outcome"] for name in ("a", "b")] == [outcome, outcome] and outcome in said
     found = "tests/test_limits.py::test_clip" if outcome == "killed" else ""
     assert mutant["results"]["b"]["by"] == found
-    # It is known by now, and the checkouts are as they were.
+    # The mutant has been evaluated, and the checkouts are unchanged.
     module.main()
     assert capsys.readouterr().out.startswith("\ngroup")
     assert (tmp_path / "a" / "gctd3" / "x" / "limits.py").read_text().endswith(SOURCE)

@@ -22,7 +22,7 @@ def test_sizing_is_arithmetic_on_what_was_measured(scale_out):
     inline = scale_out.Rates(0, 3000.0, 110.0, 900.0, 56.25, 1 / 16, 64, 400_000, 1000.0)
     # 100 updates/s suffice for 1,600 steps/s: fewer than are collected.
     assert two.learner_limit == 1600.0 and two.limit == "learner"
-    # Of more workers than cores nothing is taken over.
+    # A measurement with more workers than cores is not extrapolated.
     crowded = scale_out.Rates(8, 1600.0, 100.0, 1200.0, 75.0, 1 / 16, 256, 400_000, 1000.0)
     each, _, ten, hundred, thousand, last = scale_out.sizing([inline, crowded, two])
     assert each == "A worker collects 1,000 steps/s; the learner does 110 updates/s."

@@ -19,8 +19,8 @@ from gctd3.data.frame_buffer import FrameBuffer
 from gctd3.training.trainer import Trainer
 
 PAIRS = [("td3", "walker2d"), ("sac", "halfcheetah")]
-LIMIT = 15  # steps of an episode, for the sake of time
-NOISE = 0.8  # so that walkers fall within that
+LIMIT = 15  # steps of an episode, short to save time
+NOISE = 0.8  # large enough that walkers fall within an episode
 STEPS, BATCH, SEED = 90, 32, 3
 
 
@@ -33,7 +33,7 @@ def recipe(monkeypatch):
 
 @pytest.fixture
 def sides(recipe, tmp_path):
-    """Makes our training and their model as the recipe does, with short episodes, the same starts and weights."""
+    """Return a function that makes our training and their model, with short episodes, equal starts and weights."""
 
     def make(algo, task, random_steps=0):
         values = {"batch_size": BATCH, "capacity": 5000, "action_noise": NOISE, "random_steps": random_steps}
@@ -44,7 +44,7 @@ def sides(recipe, tmp_path):
         ours = trainer.collector.env
         for env in (*robots(ours), *robots(trainer.evaluation_env), *model.env.envs):
             shorten(env)
-        # What theirs begins its first episode with.
+        # The state in which theirs begins its first episode.
         robots(ours)[0].unwrapped.np_random = seeding.np_random(SEED)[0]
         trainer.collector._state = ours.reset()
         for mine, theirs, join in parameters(trainer.algorithm, model).values():
@@ -55,25 +55,25 @@ def sides(recipe, tmp_path):
 
 
 def robots(env):
-    """Gymnasium's environments in one of ours."""
+    """Return Gymnasium's environments inside one of ours."""
     return [robot._env for robot in env.base_env.robots]
 
 
 def shorten(env):
-    """Cut its episodes short."""
+    """Shorten an environment's episodes."""
     while not isinstance(env, gymnasium.wrappers.TimeLimit):
         env = env.env
     env._max_episode_steps = LIMIT
 
 
 def draw(monkeypatch, algo, first):
-    """Give both sides the same draws, each from their beginning when this is called.
+    """Give both sides the same random draws, from their beginning at every call.
 
     Args:
-        monkeypatch: Pytest's.
+        monkeypatch: Pytest's fixture.
         algo: The algorithm.
-        first: Of the two draws of one of SAC's updates, the one that this side makes first: 0 for the actions where the
-            batch is, 1 for those after.
+        first: Index of the draw that this side makes first in an update of SAC: 0 for actions in the batch's states, 1
+            for actions in the next states.
     """
     generator = np.random.default_rng(1)
     noise = generator.standard_normal((STEPS, 6)).astype(np.float32)
@@ -87,7 +87,7 @@ def draw(monkeypatch, algo, first):
     monkeypatch.setattr(np.random, "normal", lambda mean, sigma: mean + sigma * next(theirs))
     torch.manual_seed(2)  # of the noise on target actions
 
-    # Which transitions a batch has, of all but the newest, which ours does not draw; both have one robot.
+    # The transitions of a batch, without the newest, which ours cannot draw; both sides have one robot.
     shares = iter(generator.random((STEPS, BATCH)))
 
     def picked(below, size):
@@ -98,7 +98,7 @@ def draw(monkeypatch, algo, first):
 
 
 def collect(trainer, model, monkeypatch, algo):
-    """Let both act for some steps, without an update."""
+    """Step both sides without an update."""
     monkeypatch.setattr(model, "train", lambda **_: None)
     draw(monkeypatch, algo, first=1)
     for _ in range(STEPS):
@@ -121,15 +121,15 @@ def test_batches_hold_the_same_transitions(sides, algo, task, monkeypatch):
         "actions": ours["action"],
         "rewards": following["reward"],
         "next_observations": following["nodes"][:, 0],
-        "dones": following["terminated"],  # in theirs those that were cut short are taken out
+        "dones": following["terminated"],  # theirs leaves out truncated episodes
     }
     for name, mine in pairs.items():
         other = getattr(theirs, name)
         assert mine.shape == other.shape, name
-        # Theirs keeps float64, and contacts make more of the last bits of an action.
+        # Theirs keeps float64, and contacts amplify differences in an action's last bits.
         apart = (mine.double() - other.double()).abs().flatten()
         assert apart.quantile(0.95) < 1e-4 and apart.max() < 0.1, name
-    # Some episodes end in each of the ways that there are, and none in the next one's first observation.
+    # Some episodes terminate and some are truncated, and no last observation is the next episode's first.
     ended = (following["terminated"] | following["truncated"])[:-1, 0]
     assert following["truncated"].any() and following["terminated"].any() == (task == "walker2d")
     follows = (following["nodes"][:-1] == ours["nodes"][1:]).all(dim=(1, 2))
@@ -137,15 +137,15 @@ def test_batches_hold_the_same_transitions(sides, algo, task, monkeypatch):
     assert theirs.actions.abs().max() <= 1.0 and theirs.discounts is None
 
 
-@pytest.mark.parametrize("algo", ["td3", "sac", "ddpg"])
+@pytest.mark.parametrize("algo", ["td3", *(pytest.param(algo, marks=pytest.mark.nightly) for algo in ("sac", "ddpg"))])
 def test_trainings_go_the_same_way(sides, algo, monkeypatch):
-    """The whole of both, each with its own loop: acting, keeping, drawing and updating in the same order."""
+    """Whole trainings agree, each with its own loop: they act, store, sample and update in the same order."""
     trainer, model = sides(algo, "halfcheetah")
     before = {name: mine.detach().clone() for name, (mine, *_) in parameters(trainer.algorithm, model).items()}
     draw(monkeypatch, algo, first=1)
     trainer.run()
     draw(monkeypatch, algo, first=0)
-    # Ours begins to update when there is a batch, theirs when it is told to; then it would act by the policy, too.
+    # Ours begins to update with a full batch; theirs at a set time, after which it also acts by the policy.
     model.learning_starts, act = BATCH, model._sample_action
     monkeypatch.setattr(model, "_sample_action", lambda _, *rest: act(0, *rest))
     if algo == "sac":
@@ -175,13 +175,13 @@ def test_both_warm_up_with_uniform_actions(sides, algo):
 
 
 @pytest.mark.parametrize(("algo", "task"), PAIRS)
-def test_both_are_judged_by_the_tasks_own_returns(sides, algo, task, tmp_path):
+def test_both_are_evaluated_by_the_tasks_own_returns(sides, algo, task, tmp_path):
     peers = importlib.import_module("peers")
     trainer, model = sides(algo, task)
-    judge = peers.Judge(trainer.settings, tmp_path / "theirs", peers.ENDLESS, threads=1)
-    alone = gymnasium.make(robots(judge.env)[0].spec.id)
-    # All from one start, so that one episode says what all are to come to.
-    for env in (*robots(judge.env), *robots(trainer.evaluation_env), alone):
+    evaluator = peers.Evaluator(trainer.settings, tmp_path / "theirs", peers.ENDLESS, threads=1)
+    alone = gymnasium.make(robots(evaluator.env)[0].spec.id)
+    # All episodes have one start, so that a single episode gives the expected return.
+    for env in (*robots(evaluator.env), *robots(trainer.evaluation_env), alone):
         shorten(env)
         env.unwrapped._reset_noise_scale = 0.0
 
@@ -193,7 +193,7 @@ def test_both_are_judged_by_the_tasks_own_returns(sides, algo, task, tmp_path):
     def act(seen):
         return torch.as_tensor(model.predict(seen.numpy(), deterministic=True)[0])
 
-    judge(act, trainer.settings.evaluation.every, 0)
+    evaluator(act, trainer.settings.evaluation.every, 0)
     (theirs,) = importlib.import_module("gait_table").read_progress(tmp_path / "theirs" / "progress.csv")
     ours = trainer._evaluate()
     for row in (ours, theirs):

@@ -1,4 +1,4 @@
-"""Our updates against Stable-Baselines3's: the same weights, batches and random draws leave the same behind."""
+"""Our updates and Stable-Baselines3's, from equal weights, batches and draws, give equal parameters and targets."""
 
 import importlib
 from pathlib import Path
@@ -20,7 +20,7 @@ SEEN, ACTIONS = 17, 6  # HalfCheetah's
 
 @pytest.fixture(autouse=True)
 def _double():
-    """Adam divides a gradient by its size: of one that vanishes, float32 would compare the rounding."""
+    """Compute in float64: Adam divides by a gradient's size, where float32 would compare rounding errors."""
     torch.set_default_dtype(torch.float64)
     yield
     torch.set_default_dtype(torch.float32)
@@ -30,13 +30,13 @@ def _double():
 def recipe(monkeypatch):
     pytest.importorskip("stable_baselines3")
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
-    # Theirs turns what it sees into float32.
+    # Theirs converts observations to float32.
     monkeypatch.setattr("stable_baselines3.common.policies.preprocess_obs", lambda seen, *_, **__: seen)
     return importlib.import_module("yardstick_recipe")
 
 
 def sides(recipe, algo):
-    """Our algorithm and their model as the recipe makes them."""
+    """Return our algorithm and their model, made from the recipe."""
     from stable_baselines3.common.logger import Logger
 
     values = recipe.Recipe(hidden=(24, 16), batch_size=BATCH, capacity=1000, learning_rate=1e-3, tau=0.05)
@@ -47,7 +47,7 @@ def sides(recipe, algo):
 
 
 def optimisers(algorithm, model):
-    """Of both, by name."""
+    """Return both sides' optimisers, by name."""
     theirs = {"critic": model.critic.optimizer, "actor": model.actor.optimizer}
     if "alpha" in algorithm.optimizers:
         theirs["alpha"] = model.ent_coef_optimizer
@@ -55,7 +55,7 @@ def optimisers(algorithm, model):
 
 
 def batch():
-    """The same transitions for ours and for theirs; some terminate, some are cut short."""
+    """Return the same transitions for both sides; some terminate, some are truncated."""
     fate = torch.randint(5, (BATCH, 1))
     terminated, truncated = fate == 0, fate == 1
     seen, after, action = torch.randn(BATCH, SEEN), torch.randn(BATCH, SEEN), 2 * torch.rand(BATCH, ACTIONS) - 1
@@ -63,14 +63,14 @@ def batch():
     following = {"nodes": after[:, None], "counters": torch.zeros(BATCH, 0), "reward": reward}
     following |= {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
     ours = {"nodes": seen[:, None], "counters": torch.zeros(BATCH, 0), "action": action, "next": following}
-    # What their buffer gives as dones is without those that were cut short.
+    # Their buffer's dones leave out truncated episodes.
     theirs = {"observations": seen, "actions": action, "next_observations": after, "rewards": reward}
     theirs |= {"dones": terminated.double(), "discounts": None}
     return TensorDict(ours, [BATCH]).auto_batch_size_(1), SimpleNamespace(**theirs)
 
 
 def differences(algorithm, model):
-    """The largest difference of every parameter, and of what its optimiser remembers of it."""
+    """Return the largest difference of every parameter, and of its optimiser's state."""
     found = {}
     for name, (mine, theirs, join) in parameters(algorithm, model).items():
         found[name] = (mine.data - join([parameter.data for parameter in theirs])).abs().max().item()
@@ -100,7 +100,7 @@ def test_both_begin_with_weights_of_the_same_distribution(recipe, algo):
             for one, other in zip((mine, theirs), found[name.removeprefix("target_")], strict=True):
                 assert torch.equal(one, other), name
         else:
-            # PyTorch's: weights and biases uniform up to one over the root of what a unit reads.
+            # PyTorch's: weights and biases uniform up to one over the root of a unit's inputs.
             kind, i = name.split(".")
             reads = found[f"{kind}.{int(i) // 2 * 2 + 1}"][0].shape[-1]
             for one in (mine, theirs):
@@ -116,7 +116,7 @@ def test_updates_leave_the_same_behind(recipe, algo, monkeypatch):
     for mine, theirs, join in parameters(algorithm, model).values():
         mine.data.copy_(join([parameter.data for parameter in theirs]))
     if algo == "sac":
-        # They keep a logarithm finite by adding this to what it is of; ours is written so that it needs nothing.
+        # They add this to a logarithm's argument to keep it finite; our formula needs no such constant.
         model.actor.action_dist.epsilon = 0.0
     before = {name: mine.data.clone() for name, (mine, *_) in parameters(algorithm, model).items()}
     torch.manual_seed(1)

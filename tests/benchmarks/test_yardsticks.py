@@ -1,4 +1,4 @@
-"""Our algorithms beside Stable-Baselines3's: that both are told the same, and what is made of their curves."""
+"""Our algorithms beside Stable-Baselines3's: both get equal settings, and their curves are compared correctly."""
 
 import importlib
 import json
@@ -16,7 +16,7 @@ from torch import nn
 from gctd3.config.build import build
 
 ALGORITHMS = ("td3", "sac", "ddpg")
-# No value is anybody's default.
+# No value is a default of either side.
 UNUSUAL = {
     "learning_rate": 7e-4,
     "batch_size": 33,
@@ -48,11 +48,11 @@ def curves():
     return importlib.import_module("yardstick_curves")
 
 
-# Both sides are told the same.
+# Both sides get the same settings.
 
 
 def sides(recipe, algo):
-    """Our settings and our algorithm, and their model."""
+    """Return our settings, our algorithm and their model."""
     pytest.importorskip("stable_baselines3")
     unusual = recipe.Recipe(**UNUSUAL)
     ours = build(composed(*recipe.ours(algo, "halfcheetah", unusual)))
@@ -87,7 +87,7 @@ def test_both_report_the_same_hyperparameters(recipe, algo):
         pairs["temperature"] = (algorithm.loss.log_alpha.exp().item(), theirs.log_ent_coef.exp().item())
         pairs["entropy"] = (float(algorithm.loss.target_entropy), float(theirs.target_entropy))
         assert theirs.target_update_interval == 1
-    if algo == "ddpg":  # theirs is a TD3 with one critic and neither delay nor noise
+    if algo == "ddpg":  # their DDPG is TD3 with one critic, without delay and noise
         assert (theirs.policy_delay, theirs.target_noise_clip) == (1, 0.0)
     for name, (mine, other) in pairs.items():
         assert mine == pytest.approx(other), name
@@ -119,7 +119,7 @@ def test_both_have_the_same_networks_and_optimisers(recipe, algo):
             {type(m) for m in module.modules() if isinstance(m, (nn.ReLU, nn.LayerNorm))} for module in (one, other)
         ]
         assert kinds == [{nn.ReLU}, {nn.ReLU}]
-    # PyTorch's initial weights: uniform up to one over the root of what a unit reads.
+    # PyTorch's initial weights: uniform up to one over the root of a unit's inputs.
     for module in (algorithm.actor, theirs.actor):
         first = weights(module)[0]
         assert 0.95 < first.abs().max().item() * math.sqrt(first.shape[1]) <= 1.0
@@ -135,7 +135,7 @@ def test_both_have_the_same_networks_and_optimisers(recipe, algo):
         assert not (group["amsgrad"] or group["maximize"])
 
 
-# What is made of curves.
+# Statistics of curves.
 
 
 def test_a_mean_has_students_interval(curves):
@@ -194,7 +194,7 @@ SHORT = {"tasks": "walker2d", "algos": "td3", "seeds": "0", "steps": "400", "eve
 
 @pytest.fixture
 def yardsticks(tmp_path, monkeypatch):
-    """Calls the benchmark with options."""
+    """Return a function that runs the benchmark with options."""
     pytest.importorskip("stable_baselines3")
     benchmark = importlib.import_module("yardsticks")
 
@@ -220,7 +220,7 @@ def test_trains_both_and_goes_on_where_it_stopped(yardsticks, tmp_path, monkeypa
     written = yardsticks(plot=tmp_path / "curves.png")
     ours, theirs = written["runs"]
     assert (ours["side"], theirs["side"]) == ("gctd3", "sb3") and (tmp_path / "curves.png").exists()
-    # Ours is not judged while it is random; then both are at the same moments, after as many updates but for the ends.
+    # Ours is not evaluated while it acts randomly; later evaluations of both come at the same steps.
     assert [row["frames"] for row in ours["curve"]] == [300, 400]
     assert [row["frames"] for row in theirs["curve"]] == [100, 200, 300, 400]
     assert [run["curve"][-1]["updates"] for run in (ours, theirs)] == [101, 99]
@@ -241,6 +241,6 @@ def test_what_there_is_none_of_is_named(yardsticks):
 
 
 def test_recipes_differ_from_the_test_values(recipe):
-    """So that a value that is not passed on shows in the comparison above."""
+    """No test value equals the recipe's, so that a value that is not passed on fails the comparison above."""
     assert all(getattr(recipe.Recipe(), name) != value for name, value in UNUSUAL.items())
     assert replace(recipe.Recipe(), **UNUSUAL) == recipe.Recipe(**UNUSUAL)

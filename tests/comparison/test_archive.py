@@ -1,4 +1,4 @@
-"""Runs that a report keeps without their checkpoints make the same report again."""
+"""Runs that a report keeps without their checkpoints give the same report again."""
 
 import pytest
 from made_up_runs import examined, make
@@ -13,7 +13,7 @@ from gctd3.files import write_manifest
 
 
 def numbers(out):
-    """Everything in words and tables."""
+    """Read all texts and tables of a report."""
     return {file.name: file.read_bytes() for file in [*out.glob("tables/*.csv"), out / "verdict.txt"]}
 
 
@@ -26,7 +26,7 @@ def test_a_report_of_kept_runs_has_the_same_numbers(finished, tmp_path, monkeypa
     assert command("report", "runs=runs", "out=out", "episodes=2", "threads=1", "keep_runs=true") == 0
     kept = tmp_path / "out" / "runs"
     assert not list(kept.rglob("*.safetensors")) and len(list(kept.rglob("evaluation.json"))) == 4
-    # Of each algorithm the trace that is drawn.
+    # The drawn trace of each algorithm.
     assert len(list(kept.rglob("trace.csv"))) == 2
     assert sum(file.stat().st_size for file in kept.rglob("*") if file.name != "trace.csv") < 4 * 20_000
     assert command("report", "runs=out/runs", "out=again", "threads=1") == 0
@@ -42,7 +42,7 @@ def test_a_report_of_kept_runs_has_the_same_numbers(finished, tmp_path, monkeypa
         ).read_bytes()
     text = (tmp_path / "again" / "index.html").read_text(encoding="utf-8")
     assert text.count("no filmstrip. Of gctd3/") == 1 and "there are numbers only, no policy" in text
-    # Of the runs themselves, with nothing left to evaluate: the same page.
+    # A report of the runs themselves, all evaluated by now, has the same page.
     assert command("report", "runs=runs", "out=once_more", "threads=1") == 0
     pages = [(tmp_path / out / "index.html").read_text(encoding="utf-8") for out in ("out", "once_more")]
     assert pages[0] == pages[1]
@@ -68,6 +68,6 @@ def test_nothing_is_overwritten_nor_found_twice(tmp_path):
     (tmp_path / "out" / "runs").mkdir(parents=True)
     with pytest.raises(RunError, match="exists already"):
         report(ReportSettings(str(tmp_path / "runs"), str(tmp_path / "out"), True))
-    with pytest.raises(RunError, match="would find what keep_runs=true keeps"):
+    with pytest.raises(RunError, match="would find the copies of keep_runs=true"):
         report(ReportSettings(str(tmp_path / "runs"), str(tmp_path / "runs" / "report"), True))
     assert not (tmp_path / "runs" / "report").exists()

@@ -1,4 +1,4 @@
-"""Which runs a report compares: of one task, judged alike, each seed once; and what it says of unequal trainings."""
+"""A report refuses runs of different tasks or evaluations and repeated seeds, and notes unequal trainings."""
 
 import json
 import re
@@ -10,7 +10,7 @@ from running import command
 
 pytest.importorskip("rliable")
 
-from gctd3.comparison.comparability import check_judging, check_seeds, check_together
+from gctd3.comparison.comparability import check_episodes, check_seeds, check_together
 from gctd3.comparison.groups import groups_of
 from gctd3.comparison.report import report
 from gctd3.comparison.runs import find_runs
@@ -18,7 +18,7 @@ from gctd3.comparison.settings import ReportSettings
 from gctd3.comparison.tables import table5
 from gctd3.comparison.verdict import verdict
 from gctd3.errors import RunError
-from gctd3.evaluation.settings import Judging
+from gctd3.evaluation.settings import EpisodeSettings
 
 TD3 = {"overrides": ["algo=td3"], "change": {"algo.tau": 0.01}}
 
@@ -45,54 +45,54 @@ def test_runs_that_do_not_belong_together_are_refused(tmp_path, change, said):
         check_together(find_runs(tmp_path))
 
 
-# Judged alike.
+# Equal evaluations.
 
 
-def judge(run, episodes, seed):
-    """Say of a made-up run over which episodes it was judged."""
+def evaluate_over(run, episodes, seed):
+    """Write into a made-up run over which episodes it was evaluated."""
     file = run / "evaluation.json"
     content = {**json.loads(file.read_text()), "episodes": episodes, "seeds": {"training": 0, "evaluation": seed}}
     file.write_text(json.dumps(content))
     return run
 
 
-def test_runs_judged_over_other_episodes_are_refused(tmp_path):
+def test_runs_evaluated_over_other_episodes_are_refused(tmp_path):
     for name in ("a0", "a1", "a2"):
-        judge(make(tmp_path, name), 50, 10_000)
-    check_judging(find_runs(tmp_path), Judging())
-    # What the report itself would judge with matters to no run that is judged.
-    check_judging(find_runs(tmp_path), Judging(episodes=3, seed=4))
-    judge(tmp_path / "a2", 1, 7)
+        evaluate_over(make(tmp_path, name), 50, 10_000)
+    check_episodes(find_runs(tmp_path), EpisodeSettings())
+    # The report's own settings do not matter if all runs are evaluated.
+    check_episodes(find_runs(tmp_path), EpisodeSettings(episodes=3, seed=4))
+    evaluate_over(tmp_path / "a2", 1, 7)
     with pytest.raises(RunError) as error:
-        check_judging(find_runs(tmp_path), Judging())
+        check_episodes(find_runs(tmp_path), EpisodeSettings())
     said = str(error.value)
     assert "50 episodes from starts of seed 10000: a0, a1" in said and "1 episode from starts of seed 7: a2" in said
     assert said.endswith(f"python -m gctd3.evaluate run={tmp_path / 'a2'} episodes=50 seed=10000")
 
 
 def test_the_same_number_from_other_starts_is_refused_too(tmp_path):
-    judge(make(tmp_path, "a0"), 50, 1)
-    judge(make(tmp_path, "a1"), 50, 2)
+    evaluate_over(make(tmp_path, "a0"), 50, 1)
+    evaluate_over(make(tmp_path, "a1"), 50, 2)
     with pytest.raises(RunError, match="from starts of seed 2: a1"):
-        check_judging(find_runs(tmp_path), Judging())
+        check_episodes(find_runs(tmp_path), EpisodeSettings())
 
 
-def test_what_does_not_say_how_it_was_judged_goes_with_its_like_only(tmp_path):
+def test_what_does_not_say_how_it_was_evaluated_goes_with_its_like_only(tmp_path):
     make(tmp_path, "a0")
     make(tmp_path, "a1")
-    check_judging(find_runs(tmp_path), Judging())
-    judge(make(tmp_path, "a2"), 20, 5)
+    check_episodes(find_runs(tmp_path), EpisodeSettings())
+    evaluate_over(make(tmp_path, "a2"), 20, 5)
     with pytest.raises(RunError, match="an unknown number of episodes from starts of an unknown seed: a0, a1") as error:
-        check_judging(find_runs(tmp_path), Judging())
+        check_episodes(find_runs(tmp_path), EpisodeSettings())
     assert f"run={tmp_path / 'a1'} episodes=20 seed=5" in str(error.value)
 
 
-def test_what_is_judged_now_has_to_be_judged_as_the_rest_was(finished, tmp_path, monkeypatch, capsys):
+def test_what_is_evaluated_now_has_to_be_evaluated_as_the_rest_was(finished, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for seed, name in enumerate(["gctd3", "gctd3 seed 1"]):
         finished.copy(name, tmp_path / "runs" / str(seed))
     assert command("evaluate", "run=runs/0", "episodes=2", "seed=5", "threads=1") == 0
-    # It has no policy, so nothing will judge it.
+    # It has no policy, so nothing will evaluate it.
     make(tmp_path / "runs", "a2", evaluation=False)
     shutil.copy(tmp_path / "runs" / "0" / ".hydra" / "config.yaml", tmp_path / "runs" / "a2" / ".hydra")
     config = tmp_path / "runs" / "a2" / ".hydra" / "config.yaml"
@@ -100,25 +100,25 @@ def test_what_is_judged_now_has_to_be_judged_as_the_rest_was(finished, tmp_path,
     capsys.readouterr()
     assert command("report", "runs=runs", "out=out") == 2
     said = capsys.readouterr().err
-    assert "not yet judged, now to be over 50 episodes from starts of seed 10000: 1\n" in said
+    assert "not yet evaluated, now to be over 50 episodes from starts of seed 10000: 1\n" in said
     assert "the report's own command with episodes=2 seed=5" in said
     assert not (tmp_path / "runs" / "1" / "evaluation.json").exists() and not (tmp_path / "out").exists()
     assert command("report", "runs=runs", "out=out", "episodes=2", "seed=5", "threads=1") == 0
     assert "2 of 3" in (tmp_path / "out" / "tables" / "table5.csv").read_text()
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert "each the mean of its 2 episodes; IQM" in page
-    # The command that the message gives is one that helps.
+    # The command in the message helps.
     assert command("evaluate", "run=runs/1", "episodes=1", "seed=5", "threads=1") == 0
     capsys.readouterr()
     assert command("report", "runs=runs", "out=out", "episodes=2", "seed=5") == 2
     remedy = re.search(r"python -m gctd3\.evaluate (run=\S+ episodes=\d+ seed=\d+)", capsys.readouterr().err)[1]
     assert command("evaluate", *remedy.split(), "threads=1") == 0
-    assert command("report", "runs=runs", "out=out", "episodes=2", "seed=5", "threads=1") == 0
+    check_episodes(find_runs(tmp_path / "runs"), EpisodeSettings(episodes=2, seed=5))
 
 
 def test_table5_says_over_how_many_episodes(tmp_path, robot):
     assert "each the mean of its episodes; IQM" in table5(groups_of(find_runs(make(tmp_path, "a0"))), robot, True).note
-    judge(tmp_path / "a0", 30, 1)
+    evaluate_over(tmp_path / "a0", 30, 1)
     assert "the mean of its 30 episodes; IQM" in table5(groups_of(find_runs(tmp_path)), robot, True).note
 
 
@@ -141,14 +141,14 @@ def test_other_random_graphs_are_other_seeds(tmp_path):
     for name, graph in (("0", 0), ("1", 1)):
         make(tmp_path / name, "a0", change={"robot.graph": "random", "robot.graph_seed": graph})
     check_seeds(groups_of(find_runs(tmp_path)))
-    # The seed of random graphs says nothing of the kinematic tree.
+    # The seed of random graphs has no effect on the kinematic tree.
     for name, graph in (("2", 0), ("3", 1)):
         make(tmp_path / name, "a0", change={"robot.graph_seed": graph})
     with pytest.raises(RunError, match="graph=tree, seed 0: "):
         check_seeds(groups_of(find_runs(tmp_path)))
 
 
-# Trained alike.
+# Equal trainings.
 
 
 def trained(root, name, frames, updates, **settings):

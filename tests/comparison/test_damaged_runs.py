@@ -1,4 +1,4 @@
-"""Damaged files of runs: each is named with what to do, and what a kill leaves behind does not stop the report."""
+"""Damaged files of runs are named with a remedy, and files that a killed run leaves do not stop the report."""
 
 import re
 
@@ -51,7 +51,7 @@ def test_an_empty_progress_and_an_empty_trace_are_of_runs_without(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "left", [*(pytest.param(text, marks=pytest.mark.nightly) for text in ("", "\n")), "\0\0\0\0", None]
+    "left", ["\0\0\0\0", *(pytest.param(text, marks=pytest.mark.nightly) for text in ("", "\n", None))]
 )
 def test_runs_without_a_configuration_are_named_and_the_rest_is_reported(tmp_path, left):
     runs = tmp_path / "runs"
@@ -64,7 +64,7 @@ def test_runs_without_a_configuration_are_named_and_the_rest_is_reported(tmp_pat
     said = "a1 crashed: its .hydra/config.yaml is empty or missing, so it is in no group and has no numbers."
     text = report(ReportSettings(str(runs), str(tmp_path / "out"), True)).read_text(encoding="utf-8")
     assert said in text and "gctd3: 1 of 1 seeds" in text
-    # Kept as such.
+    # Such runs are kept.
     again = report(ReportSettings(str(tmp_path / "out" / "runs"), str(tmp_path / "again")))
     assert again.with_name("verdict.txt").read_text() == (tmp_path / "out" / "verdict.txt").read_text()
 

@@ -1,4 +1,4 @@
-"""The report at equal wall-clock: on hand-made runs, and on a training and what it kept."""
+"""The report at equal wall-clock, on hand-made runs, and on a training and the policies that it kept."""
 
 import csv
 import json
@@ -23,7 +23,7 @@ HEAD = "frames,updates,wall_s,return_mean,success_rate,velocity_mean"
 
 
 def timed(root, name, *lines, **settings):
-    """A run with these lines of progress: frames, updates, seconds, return, success, m/s."""
+    """Make a run with these lines of progress: frames, updates, seconds, return, success, m/s."""
     run = make(root, name, **settings)
     (run / "progress.csv").write_text("\n".join([HEAD, *lines]) + "\n")
     return run
@@ -31,7 +31,7 @@ def timed(root, name, *lines, **settings):
 
 @pytest.fixture
 def sweep(tmp_path):
-    """Three seeds that train 100, 120 and 200 s, and three that train 240 s."""
+    """Make three seeds that train for 100, 120 and 200 s, and three that train for 240 s."""
     for seed, (end, last) in enumerate([(100, 300), (120, 330), (200, 900)]):
         timed(tmp_path, f"a{seed}", "1000,10,60,100,0.5,1", f"2000,30,{end},{last},1.0,1")
     for seed in range(3):
@@ -41,7 +41,7 @@ def sweep(tmp_path):
 
 
 def cells(root):
-    """The table's rows by group, and the time it is of."""
+    """Return the table's rows by group, and the time at which it compares."""
     groups = groups_of(find_runs(root))
     limit = time_limit(groups)
     table = equal_time(groups, limit)
@@ -73,11 +73,11 @@ def test_the_policy_is_chosen_as_runs_choose_theirs(tmp_path):
     slow = {"stop_when": {"at_least": {"velocity_mean": 1.0}, "at_most": {}, "evaluations": None}}
     lines = "1000,10,60,100,0.5,1.1", "2000,30,90,300,0.9,0.5", "3000,50,120,200,0.7,1.2", "4000,70,150,200,0.1,1.2"
     run = find_runs(timed(tmp_path, "a0", *lines, change=slow))[0]
-    # A walk that is fast enough comes before one that is not, whatever it returns; of equals the first one stays.
+    # A walk that is fast enough ranks above a slower one with any return; among equals the first one stays.
     found = {seconds: reached(run, seconds) for seconds in (59.0, 60.0, 100.0, 120.0, 1000.0)}
     assert found.pop(59.0) is None
     assert [one.return_mean for one in found.values()] == [100.0, 100.0, 200.0, 200.0]
-    # It stays as it ended.
+    # After its end a run keeps its results.
     last = found[1000.0]
     assert (last.success_rate, last.frames, last.updates) == (0.7, 4000.0, 70.0)
 
@@ -159,15 +159,15 @@ def test_the_verdict_says_what_runs_cost(tmp_path):
         timed(tmp_path, f"b{seed}", "1000,10,30,100,1.0,1", **TD3)
     # Of 90, 96 and 108 s.
     ours, theirs = costs(tmp_path)
-    assert ours.endswith("that was judged; a whole run took 1.6 min in the median (1.5 to 1.8).")
-    assert theirs.endswith("that was judged; a whole run took 30.0 s.")
+    assert ours.endswith("that was evaluated; a whole run took 1.6 min in the median (1.5 to 1.8).")
+    assert theirs.endswith("that was evaluated; a whole run took 30.0 s.")
     for run in tmp_path.glob("a*"):
         (run / "post_mortem").mkdir()
     assert [line.split(":")[0] for line in costs(tmp_path)] == ["td3"]
 
 
 def many(root, *seconds):
-    """Five seeds that train that long and return much, and five that train 95 s and return little."""
+    """Make five seeds that train for that long and return much, and five that train for 95 s and return little."""
     for seed, end in enumerate(seconds):
         timed(root, f"a{seed}", f"1000,10,{0.4 * end},800,1.0,1", f"2000,20,{end},80{seed},1.0,1", returns=800 + seed)
         timed(root, f"b{seed}", "1000,10,40,5,0.0,1", f"2000,20,95,1{seed},0.0,1", returns=10 + seed, **TD3)
@@ -204,7 +204,7 @@ def test_times_to_the_finish_are_wall_clock_too(tmp_path):
 @pytest.mark.parametrize(
     "lines, apart",
     [
-        # After 1,000 frames, which both have, 60 and 70 s; that one went on to 3,000 says nothing.
+        # After 1,000 frames, which both have, 60 and 70 s; the further frames of one of them do not count.
         (("1000,10,60,1,0,1", "1000,10,70,1,0,1\n3000,30,300,1,0,1"), []),
         (("1000,10,60,1,0,1", "1000,10,75,1,0,1"), ["1,000 frames took 1.0 min and 1.2 min in gctd3"]),
         # Halfway between 500 frames at 20 s and 1,500 at 60 s: 40 s.
@@ -215,6 +215,6 @@ def test_times_for_the_same_work_by_hand(tmp_path, lines, apart):
     for seed, line in enumerate(lines):
         timed(tmp_path, f"a{seed}", line)
     assert uneven(groups_of(find_runs(tmp_path))) == apart
-    # One that crashed may have done so because the machine was not well.
+    # A crashed run may have crashed because of its machine.
     (tmp_path / "a1" / "post_mortem").mkdir()
     assert uneven(groups_of(find_runs(tmp_path))) == []

@@ -1,4 +1,4 @@
-"""The report's gait table: what it says of seeds that differ, slide or never got far."""
+"""The report's gait table, on seeds whose gaits differ, slide or stay near the start."""
 
 import pytest
 
@@ -13,7 +13,7 @@ WALKS = {"periodic_fraction": 1.0, "duty_factor": 0.6, "floquet_max": 0.5, "flig
 
 
 def cells(tmp_path, *found):
-    """What the table says of one group of seeds with these gaits, by metric."""
+    """Return the table's cells for one group of seeds with these gaits, by metric."""
     runs = [
         Run(tmp_path, str(seed), {"seed": seed}, "td3", evaluation={"gait": gait}) for seed, gait in enumerate(found)
     ]
@@ -22,13 +22,13 @@ def cells(tmp_path, *found):
 
 def test_seeds_without_strides_are_counted(tmp_path):
     said = cells(tmp_path, WALKS, FEW, SLIDES, {})
-    assert said["seeds judged here"] == "3 of 4"
+    assert said["seeds evaluated here"] == "3 of 4"
     assert said["flight"] == "0.20 (0.10 to 0.30)"
     assert said["duty factor"] == "0.50 (0.40 to 0.60); 1 not periodic"
     assert said["largest Floquet multiplier"] == "0.50; 1 too few strides; 1 not periodic"
     assert cells(tmp_path, SLIDES, SLIDES)["duty factor"] == "2 not periodic"
-    assert "phase offset" not in said  # nobody has it
-    assert cells(tmp_path, {}, {}) == {}  # nobody got far enough for a gait
+    assert "phase offset" not in said  # no seed has it
+    assert cells(tmp_path, {}, {}) == {}  # no seed got far enough for a gait
 
 
 @pytest.mark.parametrize(

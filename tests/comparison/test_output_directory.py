@@ -1,4 +1,4 @@
-"""Where a report is written: over nothing but an earlier report, of which nothing is left."""
+"""A report is written over an earlier report only, and then replaces all of it."""
 
 import shutil
 
@@ -20,7 +20,7 @@ def runs(tmp_path):
 
 
 def contents(root):
-    """Every file below ``root`` by its path."""
+    """Read every file below ``root``, by path."""
     return {str(file.relative_to(root)): file.read_bytes() for file in root.rglob("*") if file.is_file()}
 
 
@@ -35,7 +35,7 @@ def contents(root):
     ],
 )
 def test_what_is_no_report_is_not_written_over(runs, tmp_path, capsys, make_out, out, said):
-    # It would have to be evaluated first, which takes long.
+    # The check comes before the evaluation of this run, which takes long.
     (runs / "a0" / "evaluation.json").unlink()
     (tmp_path / "site").mkdir()
     make_out(tmp_path)
@@ -65,8 +65,8 @@ def test_a_new_report_leaves_nothing_of_the_one_before(runs, tmp_path):
     for place in (out, fresh):
         report(ReportSettings(str(runs), str(place)))
     gone = {"tables/settings.csv", "tables/equal_time.csv", "tables/robustness.csv", "figures/improvement.svg"}
-    assert gone | {"figures/improvement.png", "figures/shoves.png"} <= before
-    # It is the report that an empty directory gets; what no report writes stays.
+    assert gone | {"figures/improvement.png", "figures/pushes.png"} <= before
+    # The report equals that in an empty directory; other files stay.
     assert contents(out) == {**contents(fresh), "figures/notes.md": b"mine"}
 
 
@@ -76,7 +76,7 @@ def test_kept_runs_stay_when_the_report_beside_them_is_made_again(runs, tmp_path
     before = contents(out)
     report(ReportSettings(str(out / "runs"), str(out)))
     assert contents(out) == before
-    # Also where there is nothing but runs yet.
+    # A directory with nothing but runs is accepted too.
     for name in ("index.html", "verdict.txt"):
         (out / name).unlink()
     for folder in ("figures", "tables"):
@@ -93,7 +93,7 @@ def test_a_report_that_fails_leaves_the_one_before(runs, tmp_path, monkeypatch):
         (aside / "index.html").write_text("half")
         raise KeyboardInterrupt
     assert contents(out) == before
-    # What a kill leaves aside is no reason to refuse.
+    # Temporary files of a killed report are no reason to refuse.
     killed = tmp_path / "killed"
     (killed / ".report.tmp" / "figures").mkdir(parents=True)
     check_place(killed, runs)

@@ -1,8 +1,9 @@
-"""The report's page in a browser, where there is one: whole, offline, narrow and wide, light and dark."""
+"""The report's page in a browser, if one is installed: complete, offline, narrow and wide, light and dark."""
 
 import json
 import shutil
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from gctd3.comparison.gaits import GAIT
 TAUS = (0.001, 0.002, 0.003, 0.004, 0.005, 0.006)
 GROUPS = [f"gctd3 tau={tau}" for tau in TAUS]
 DT = 0.02
-# For each picture that a group with a trace and a policy has.
+# The titles of all pictures of a group with a trace and a policy.
 OF_A_GROUP = {"joints, right against left", "phase portraits", "feet on the ground"}
 FIGURES = {
     "Return over frames, thousands",
@@ -32,12 +33,12 @@ FIGURES = {
     "Probability of improvement",
     "Body height",
     "Success under other conditions",
-    "Shoves survived over the stride",
+    "Pushes survived over the stride",
 } | {f"{group}, seed 0: {what}" for group in GROUPS[:2] for what in OF_A_GROUP}
 
 
 def trace(robot):
-    """Four seconds of a gait whose right and left legs take turns."""
+    """Make up four seconds of a gait whose right and left legs take turns."""
     time = DT * np.arange(1, 200)
     columns = {"time_s": time, "height_m": 0.02 * np.sin(18.0 * time)}
     for leg in robot.legs:
@@ -50,14 +51,14 @@ def trace(robot):
 
 
 def gait(seed):
-    """Every metric, with as many digits as trained policies have; some seeds have no strides."""
+    """Make up every metric, with as many digits as trained policies have; some seeds have no strides."""
     found = {key: 10.0 ** (4 if key == "action_jerk" else 0) * -(2.345 + 5.1 * seed) for key, *_ in GAIT}
     return found | {"asymmetry_hip_right": 0.02, "stride_time": 0.8 if seed == 0 else None, "periodic_fraction": 0.4}
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, robot):
-    """Two seeds of each of six settings; the first is as complete as a training and its examination leave it."""
+    """Make two seeds of each of six settings; the first has all files of a training and its evaluations."""
     root, shipped = tmp_path_factory.mktemp("report") / "runs", find_run(None)
     for tau in TAUS:
         for seed in range(2):
@@ -65,13 +66,13 @@ def runs(tmp_path_factory, robot):
             config = OmegaConf.load(shipped / CONFIG)
             frames = {"total_frames": 2000, "exploration": {"learning_starts": 1000}}
             OmegaConf.save(OmegaConf.merge(config, frames, {"seed": seed, "algo": {"tau": tau}}), run / CONFIG)
-            judged = json.loads((run / "evaluation.json").read_text())
-            (run / "evaluation.json").write_text(json.dumps({**judged, "gait": gait(seed)}))
+            evaluated = json.loads((run / "evaluation.json").read_text())
+            (run / "evaluation.json").write_text(json.dumps({**evaluated, "gait": gait(seed)}))
             examined(run, 0.8, [2.0, 4.0])
             if tau in TAUS[:2]:
                 (run / "trace.csv").write_text(trace(robot))
     shutil.copytree(shipped / "checkpoints", root / f"tau={TAUS[0]},0" / "checkpoints")
-    # The last was stopped, which its outcome says at length.
+    # The last run was stopped, which makes its outcome a long text.
     progress = run / "progress.csv"
     progress.write_text("".join(progress.read_text().splitlines(keepends=True)[:2]))
     return root
@@ -96,7 +97,7 @@ def browser():
 
 @pytest.fixture
 def opened(browser, page_file):
-    """Opens the page and hands back what the browser shows; nothing may be said, and nothing else be asked for."""
+    """Return a function that opens the page; the console must stay empty, and nothing else be requested."""
     contexts, said, asked = [], [], []
 
     def look(width, scheme="light"):
@@ -112,19 +113,19 @@ def opened(browser, page_file):
 
     yield look
     assert said == []
-    # Frames are in the file.
+    # The frames are inside the file.
     assert [url for url in asked if not url.startswith("data:image/jpeg;base64,")] == [page_file.resolve().as_uri()]
     for context in contexts:
         context.close()
 
 
 def every(page, selector, what):
-    """``what`` of every element ``e`` that the selector finds."""
+    """Evaluate ``what`` for every element ``e`` that the selector finds."""
     return page.evaluate(f"[...document.querySelectorAll('{selector}')].map(e => {what})")
 
 
 def films():
-    """Headings of the films that can be drawn here."""
+    """Return the headings of the films that can be drawn here."""
     try:
         find_backend()
     except RenderError:
@@ -142,16 +143,21 @@ def test_every_figure_is_there_and_has_a_size(opened, width):
     assert all(w > 250 and h > 60 for w, h in drawings)
     frames = every(page, "figure img", "[e.naturalWidth, e.getBoundingClientRect().width]")
     assert len(frames) == filmstrips.FRAMES * len(films())
-    # A robot in one can be seen, with its words below it.
+    # Each frame shows the robot, with its words below it.
     assert all(pixels >= shown >= 120 for pixels, shown in frames)
     assert len(every(page, ".film small", "e.textContent.match(/^[\\d.]+ s, [\\d.]+ m$/)[0]")) == len(frames)
 
 
-@pytest.mark.parametrize("width", [375, 1280])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_all_of_it_can_be_read(opened, width, scheme):
+@pytest.mark.parametrize(
+    ("scheme", "width"),
+    [
+        pytest.param(*one, marks=[pytest.mark.nightly] * (one != ("dark", 375)))
+        for one in product(("light", "dark"), (375, 1280))
+    ],
+)
+def test_all_of_it_can_be_read(opened, scheme, width):
     page = opened(width, scheme)
-    # Nothing sticks out: on a phone wide tables scroll in their own frame.
+    # No element is wider than the page: on a phone wide tables scroll in their own frame.
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     ((paper, ink),) = every(page, "body", "[getComputedStyle(e).backgroundColor, getComputedStyle(e).color]")
     assert paper == ("rgb(255, 255, 255)" if scheme == "light" else "rgb(20, 22, 26)")
@@ -162,7 +168,7 @@ def test_all_of_it_can_be_read(opened, width, scheme):
     assert min(every(page, "small, td, th, p", "parseFloat(getComputedStyle(e).fontSize)")) >= 11
 
 
-@pytest.mark.parametrize("width", [1280, 1920])
+@pytest.mark.parametrize("width", [1280, pytest.param(1920, marks=pytest.mark.nightly)])
 def test_no_table_is_cut(opened, width):
     page = opened(width)
     tables = every(page, ".scroll", "[e.ariaLabel, e.scrollWidth - e.clientWidth]")

@@ -40,7 +40,7 @@ def test_the_verdict_claims_no_more_than_the_intervals():
 
 @pytest.mark.parametrize("ours, theirs", [(2, 2), (3, 3), (3, 5), (4, 4), (1, 9)])
 def test_how_many_seeds_it_takes_is_what_shuffling_them_says(ours, theirs):
-    # All ways to deal the ranks 0, 1, ... to two groups alike; in how many is one group wholly above the other?
+    # All ways to deal the ranks 0, 1, ... to two groups alike; count those with one group wholly above the other.
     every = range(ours + theirs)
     dealt = [set(hand) for hand in combinations(every, ours)]
     apart = [h for h in dealt if max(h) < min(set(every) - h) or min(h) > max(set(every) - h)]
@@ -52,7 +52,7 @@ def test_how_many_seeds_it_takes_is_what_shuffling_them_says(ours, theirs):
 
 @pytest.fixture
 def pair(tmp_path):
-    """Two algorithms, three seeds each."""
+    """Make two algorithms with three seeds each."""
     for seed in range(3):
         make(tmp_path, f"a{seed}", 500.0 + seed)
         make(tmp_path, f"b{seed}", 400.0 + seed, overrides=["algo=td3"], change={"algo.tau": 0.01})
@@ -100,7 +100,7 @@ def test_table5_by_hand(pair, robot):
     table = table5(groups_of(find_runs(pair)), robot, True)
     ours, paper = dict(zip(table.head, table.rows[0], strict=True)), table.rows[1]
     assert ours["return, mean ± sd"] == "501.0 ± 1.0" and ours["return, IQM"].startswith("501.0 [")
-    assert ours["seeds judged"] == "3 of 3" and ours["success"] == "1.00"
+    assert ours["seeds evaluated"] == "3 of 3" and ours["success"] == "1.00"
     # The robot is dropped 0.0235 m above where it stands.
     assert spawn_height(robot) == pytest.approx(0.0235)
     assert ours["body from standing, m"] == "0.0100" and ours["body from spawn, m"] == "-0.0135"
@@ -114,7 +114,8 @@ def test_failed_seeds_are_counted(tmp_path, capsys):
     page = report(ReportSettings(str(tmp_path / "runs"), str(tmp_path / "out")))
     text = page.read_text(encoding="utf-8")
     assert (
-        "2 of 3 seeds reach the finish in every episode that was judged; 1 failed and have no numbers; a whole" in text
+        "2 of 3 seeds reach the finish in every episode that was evaluated; 1 failed and have no numbers; a whole"
+        in text
     )
     assert "2 of 3" in text and "failed: " in text
     assert "evaluating" in capsys.readouterr().err
@@ -128,14 +129,14 @@ def test_robustness_of_made_up_runs(pair, tmp_path):
     rows = {row[0]: row[2:] for row in robustness_table(results).rows}
     assert rows["success, mass +20 %"] == ["0.70 (0.50 to 0.90)", "-"]
     # The weakest phases are 2, 3 and 4 N s; backward one phase is unknown in all.
-    assert rows["shove forward, worst moment"] == ["3.0 (2.0 to 4.0)", "-"]
-    assert rows["shove backward, worst moment"] == ["-", "-"]
+    assert rows["push forward, worst moment"] == ["3.0 (2.0 to 4.0)", "-"]
+    assert rows["push backward, worst moment"] == ["-", "-"]
     page = report(ReportSettings(str(pair), str(tmp_path / "out")))
     text = page.read_text(encoding="utf-8")
     assert 'id="robustness"' in text and (tmp_path / "out" / "tables" / "robustness.csv").is_file()
-    assert {"conditions", "shoves"} <= {file.stem for file in (tmp_path / "out" / "figures").glob("*.svg")}
+    assert {"conditions", "pushes"} <= {file.stem for file in (tmp_path / "out" / "figures").glob("*.svg")}
     examined(pair / "a1", 0.5, [3.0, 4.0])
-    with pytest.raises(RunError, match=r"what robustness\.json tried"):
+    with pytest.raises(RunError, match=r"the perturbations of robustness\.json"):
         check_together(find_runs(pair))
     (pair / "a1" / "robustness.json").write_text("{}")
     with pytest.raises(RunError, match="lacks conditions"):
@@ -233,7 +234,7 @@ def test_from_trainings_to_the_page(finished, tmp_path, monkeypatch, capsys):
     assert len(ids) == len(set(ids))
     names = {file.stem for file in (tmp_path / "out" / "figures").glob("*.svg")}
     pixels = {file.stem for file in (tmp_path / "out" / "figures").glob("*.png")}
-    # Where there is nothing to draw with, the page says so.
+    # Without OpenGL the page says that it could not draw.
     films = {"film_gctd3", "film_td3"}
     assert pixels == names | films or (pixels == names and text.count("no filmstrip. ") == 2)
     assert text.count('class="film"') == len(pixels - names)

@@ -1,4 +1,4 @@
-"""The report's statistics: by hand, against rliable, and by repetition."""
+"""The report's statistics equal hand arithmetic and rliable, and intervals cover as often as they should."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def test_iqm_is_rliables(count):
 
 
 def test_iqm_by_hand():
-    # Of eight the lowest two and the highest two go: (3 + 4 + 5 + 6) / 4.
+    # Of eight values the lowest two and the highest two are left out: (3 + 4 + 5 + 6) / 4.
     assert interval([1, 2, 3, 4, 5, 6, 700, 800]).value == pytest.approx(4.5)
     assert interval([5.0, np.nan]).value == 5.0 and np.isnan(interval([5.0]).low)
     assert np.isnan(interval([]).value)

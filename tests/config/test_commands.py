@@ -1,13 +1,14 @@
-"""What the commands say when what they are told is wrong: one message that names it, exit code 2, nothing done."""
+"""Every command answers wrong input with one message that names it and exit code 2, and writes nothing."""
 
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from running import command, process, tiny, train
+from running import command, process, tiny
 
 from gctd3.files import read_manifest, write_manifest
 
@@ -18,12 +19,12 @@ def _elsewhere(tmp_path, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return train(tmp_path_factory.mktemp("trained") / "run")
+def run(finished, tmp_path_factory):
+    return finished.copy("gctd3", tmp_path_factory.mktemp("trained") / "run")
 
 
 def answer(capsys, name, *arguments):
-    """The one message on stderr of a command that refuses."""
+    """Return the one message on stderr of a command that refuses."""
     capsys.readouterr()
     assert command(name, *arguments) == 2
     error = capsys.readouterr().err
@@ -73,7 +74,7 @@ WRONG = {
     "seed=[": ["seed=["],
     "seed=99999999999": ["seed must be", "below 2^32", "99999999999"],
     "+=[]": ["cannot be combined"],
-    "algo=null": ["cannot be combined"],
+    "algo=null": ["algo cannot be left out. Options of algo: ddpg, gctd3, sac, td3"],
     "evaluation.episodes=100000000000": ["evaluation.episodes must be at most 100,000"],
 }
 
@@ -91,7 +92,7 @@ def test_too_little_memory_is_answered(capsys, tmp_path):
     assert "Traceback" not in error and "error: Not enough memory" in error and "replay.buffer_size" in error
 
 
-@pytest.mark.parametrize("argument", ["algo=ppo", "env.num_envs=0"])
+@pytest.mark.parametrize("argument", [pytest.param("algo=ppo", marks=pytest.mark.nightly), "env.num_envs=0"])
 def test_a_process_ends_with_2_and_one_message(tmp_path, argument):
     done = process("train", *tiny(tmp_path / "run", argument))
     assert done.returncode == 2
@@ -106,6 +107,31 @@ def test_ctrl_c_ends_a_command_with_a_line(capsys, monkeypatch):
     monkeypatch.setattr("gctd3.robots.robot.Robot.from_model", interrupted)
     assert command("graph", "robot=biped") == 130
     assert capsys.readouterr().err == "\nInterrupted.\n"
+
+
+@pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_an_evaluation_with_a_line_and_leaves_nothing(capsys, monkeypatch, tmp_path, number, code):
+    before = signal.getsignal(number)
+    for where in ("gctd3.runs.evaluate.evaluate", "gctd3.runs.evaluate.summarize"):
+        with monkeypatch.context() as patch:
+            patch.setattr(where, lambda *arguments, **named: signal.raise_signal(number))
+            assert command("evaluate", f"out={tmp_path / 'evaluated'}", "episodes=1", "threads=1") == code
+        assert capsys.readouterr().err == "\nInterrupted.\n"
+        assert not list(tmp_path.iterdir())
+    assert signal.getsignal(number) is before
+
+
+def test_an_import_that_a_signal_breaks_off_is_no_missing_package(capsys, monkeypatch):
+    def broken(*arguments, **named):
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt:
+            raise ImportError("numpy is broken") from None
+
+    monkeypatch.setattr("gctd3.robots.robot.Robot.from_mjcf", broken)
+    assert command("graph", "robot=biped") == 143
+    error = capsys.readouterr().err
+    assert error.endswith("\nInterrupted.\n") and "numpy" not in error
 
 
 def test_output_that_nobody_reads_is_no_error():
@@ -145,12 +171,12 @@ def test_a_directory_holds_one_run(capsys, run):
     assert (run / "progress.csv").read_text(encoding="utf-8") == before
 
 
-# Runs that are none.
+# Directories that are not usable runs.
 
 
 @pytest.fixture
 def broken(run, tmp_path):
-    """A copy of a run, to be broken."""
+    """Copy a run, to damage it."""
     return Path(shutil.copytree(run, tmp_path / "broken"))
 
 

@@ -1,8 +1,9 @@
-"""Defaults: those of the dataclasses complete what YAMLs say, for every choice, in every process and for outsiders."""
+"""The defaults of dataclasses complete every YAML: for every choice, in every process and for other projects."""
 
 import subprocess
 import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pytest
 import yaml
@@ -10,11 +11,12 @@ from configs import composed
 from hydra import compose, initialize_config_module
 from hydra.errors import ConfigCompositionException
 from omegaconf import OmegaConf
-from running import command, process, tiny
+from running import command, tiny
 
 from gctd3.config.build import build
 from gctd3.config.completion import complete
 from gctd3.config.fields import defaults_of, in_plain_text, in_yaml, meanings, name_of, settings_of
+from gctd3.config.help import COMMANDS
 from gctd3.errors import ConfigError, RunError
 from gctd3.training.saved_configuration import changed, load_settings
 from gctd3.training.settings import TrainSettings
@@ -22,7 +24,7 @@ from gctd3.training.settings import TrainSettings
 
 @dataclass(frozen=True)
 class Inner:
-    """Settings inside of settings.
+    """Hold settings that are a field of other settings.
 
     Attributes:
         size: How many (1).
@@ -35,7 +37,7 @@ class Inner:
 
 @dataclass(frozen=True)
 class Mine:
-    """Settings of an outsider.
+    """Hold settings that are not gctd3's.
 
     Attributes:
         must: Has no default,
@@ -54,6 +56,7 @@ class Mine:
 
 
 MINE = f"{__name__}.Mine"
+CONF = Path(__file__).parents[2] / "conf"
 
 
 def completed(plain):
@@ -62,7 +65,7 @@ def completed(plain):
     return OmegaConf.to_container(config)
 
 
-# What is read of a dataclass.
+# Reading a dataclass.
 
 
 def test_defaults_and_meanings_of_a_dataclass():
@@ -85,7 +88,7 @@ def test_names_are_those_of_the_front_door():
     assert name_of(Mine) == MINE
 
 
-# What is added to a configuration.
+# Completing a configuration.
 
 
 def test_what_is_missing_is_added_and_what_is_said_is_kept():
@@ -160,7 +163,7 @@ def test_cfg_job_shows_every_key(tmp_path, monkeypatch, capsys):
     assert not list(tmp_path.iterdir())
 
 
-# Whoever composes.
+# Other ways to compose.
 
 PROJECT = """
 import sys
@@ -198,7 +201,7 @@ hydra:
 
 @pytest.fixture
 def project(tmp_path):
-    """Another project, which finds YAMLs of gctd3's by Hydra's search path and imports nothing of it."""
+    """Make another project, which finds gctd3's YAMLs by Hydra's search path and imports nothing of gctd3."""
     (tmp_path / "conf").mkdir()
     (tmp_path / "conf" / "main.yaml").write_text(MAIN)
     (tmp_path / "main.py").write_text(PROJECT)
@@ -217,7 +220,7 @@ def test_another_project_composes_the_same(project):
     assert "network.nrom" in project("network.nrom=none").stderr
 
 
-@pytest.mark.parametrize("launcher", ["basic", "joblib"])
+@pytest.mark.parametrize("launcher", ["basic", pytest.param("joblib", marks=pytest.mark.nightly)])
 def test_another_projects_sweep_composes_the_same(project, launcher):
     if launcher == "joblib":
         pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
@@ -274,21 +277,22 @@ def test_settings_from_outside_the_package(tmp_path, monkeypatch, capsys):
 # Runs.
 
 
-def test_a_run_keeps_every_key_and_goes_on_with_keys_that_no_yaml_holds(tmp_path):
-    run = tmp_path / "run"
-    assert command("train", *tiny(run, "algo.tau=0.01")) == 0
+def test_a_run_keeps_every_key_and_goes_on_with_keys_that_no_yaml_holds(finished):
+    run = finished["gctd3"]
+    # A key of its command line that no YAML of it holds.
+    assert "gradient_steps" not in (CONF / "config.yaml").read_text(encoding="utf-8")
+    assert load_settings(run).gradient_steps == 2
     saved = yaml.safe_load((run / ".hydra" / "config.yaml").read_text(encoding="utf-8"))
     assert saved == {**saved, **{key: saved[key] for key in composed()}} and saved["algo"]["gamma"] == 0.99
     with initialize_config_module("gctd3.conf", version_base="1.3"):
         assert changed(run, "config", ["keep_checkpoints=3"])[0].keep_checkpoints == 3
-        with pytest.raises(RunError, match=r"algo.tau: 0.01 -> 0.02"):
-            changed(run, "config", ["algo.tau=0.02"])
+        with pytest.raises(RunError, match=r"gradient_steps: 2 -> 3"):
+            changed(run, "config", ["gradient_steps=3"])
 
 
-def test_a_run_does_not_say_where_yamls_are(tmp_path):
-    """They would be imported from, and a run may be somebody else's."""
-    run = tmp_path / "run"
-    assert command("train", *tiny(run)) == 0
+def test_a_run_does_not_say_where_yamls_are(finished, tmp_path):
+    """A run's own search path is ignored: modules would be imported from it, and the run may be somebody else's."""
+    run = finished.copy("gctd3", tmp_path / "run")
     (tmp_path / "theirs" / "network").mkdir(parents=True)
     (tmp_path / "theirs" / "network" / "trap.yaml").write_text("_target_: sprung.Trap\n")
     overrides = run / ".hydra" / "overrides.yaml"
@@ -298,7 +302,7 @@ def test_a_run_does_not_say_where_yamls_are(tmp_path):
         assert changed(run, "config", ["keep_checkpoints=3"])[0].keep_checkpoints == 3
 
 
-# What it takes.
+# Cost of the imports.
 
 
 def test_settings_import_no_torch():
@@ -315,16 +319,18 @@ def test_settings_import_no_torch():
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
-@pytest.mark.parametrize("name", ["train", "view", "evaluate", "render", "export", "report", "graph"])
-def test_a_misspelt_key_is_answered_without_torch(name, tmp_path):
+def test_a_misspelt_key_is_answered_without_torch(tmp_path):
+    """By one command after the other: the first that imports it is named."""
     code = (
         "import sys, importlib\n"
-        f"sys.argv = ['gctd3.{name}', 'sead=1']\n"
-        f"try: importlib.import_module('gctd3.{name}').main()\n"
-        "except SystemExit as end: print(end.code, 'torch' in sys.modules)\n"
+        f"for name in {[*COMMANDS]}:\n"
+        "    sys.argv = [f'gctd3.{name}', 'sead=1']\n"
+        "    try: importlib.import_module(f'gctd3.{name}').main()\n"
+        "    except SystemExit as end: print(name, end.code, 'torch' in sys.modules)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
-    assert done.stdout == "2 False\n" and "Unknown key 'sead'." in done.stderr
+    assert done.stdout.splitlines() == [f"{name} 2 False" for name in COMMANDS], done.stderr
+    assert done.stderr.count("Unknown key 'sead'.") == len(COMMANDS)
     assert not list(tmp_path.iterdir())
 
 
@@ -333,4 +339,3 @@ def test_default_settings_are_those_that_hydra_composes():
         settings = build(compose("config"))
     assert isinstance(settings, TrainSettings)
     assert build(in_yaml(settings)) == settings
-    assert process("train", "--cfg", "job").stdout

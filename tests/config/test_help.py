@@ -1,4 +1,4 @@
-"""What a newcomer reads first: the list of commands, and each one's help, with nothing missing and nothing made up."""
+"""The list of commands and each command's help name every key and choice, and nothing that does not exist."""
 
 import re
 import subprocess
@@ -26,7 +26,7 @@ def file(command):
 
 
 def test_every_command_is_listed():
-    """A command is a YAML at the root of conf/, a module, a script and a line of the overview."""
+    """Every command has a YAML at the root of conf/, a module, a script and a line of the overview."""
     assert {file(command).name for command in COMMANDS} == {path.name for path in FILES.glob("*.yaml")}
     scripts = dict(re.findall(r'^([\w-]+) = "gctd3\.__main__:(\w+)"$', PROJECT, flags=re.M))
     assert scripts == {"gctd3": "main", **{f"gctd3-{command}": "script" for command in COMMANDS}}
@@ -41,7 +41,7 @@ def test_help_has_every_key_with_its_default_and_what_it_means(command):
     plain = yaml.safe_load(file(command).read_text(encoding="utf-8"))
     defaults = {k: v for item in plain.get("defaults", []) if isinstance(item, dict) for k, v in item.items()}
     groups = [name.rpartition("@")[2] for name in defaults if not name.startswith("override")]
-    # What Hydra composes, without what groups bring.
+    # Hydra's composition without the groups' keys.
     expected = {
         key: value
         for key, value in items(composed(root=ROOTS.get(command, command), missing=True))
@@ -52,13 +52,13 @@ def test_help_has_every_key_with_its_default_and_what_it_means(command):
     said = help_of(command)
     for name, value in expected.items():
         assert told[name].value == "..." if value == "???" else yaml.safe_load(told[name].value) == value
-        assert len(told[name].said) > 10 and f"  {name}={told[name].value}" in said
+        assert len(told[name].meaning) > 10 and f"  {name}={told[name].value}" in said
     offered = {choice.name: choice for choice in choices(command)}
     assert set(offered) == {name for name in defaults if not name.startswith("override")}
     for name, choice in offered.items():
         assert choice.value == str(defaults[name] or "null")
         options = sorted(path.stem for path in (FILES / name.split("@")[0]).glob("*.yaml"))
-        assert choice.said.split(": ")[-1] == ", ".join(options)
+        assert choice.meaning.split(": ")[-1] == ", ".join(options)
 
 
 def test_the_reference_is_up_to_date():
@@ -85,14 +85,19 @@ def fresh(*arguments):
 
 
 def test_the_list_and_the_help_need_nothing_heavy():
-    for arguments in ([], ["--help"], *([command, "--help"] for command in COMMANDS)):
-        code = (
-            f"import sys, runpy; sys.argv[1:] = {arguments}; runpy.run_module('gctd3', run_name='__main__');"
-            "print([name for name in ('torch', 'torchrl', 'hydra') if name in sys.modules])"
-        )
-        done = fresh("-W", "error", "-c", code)
-        assert done.returncode == 0 and done.stdout.endswith("[]\n") and done.stderr == "", done.stderr
-        assert summary("render") in done.stdout or "Keys (key=default):" in done.stdout
+    """One after the other: the first that imports it is named."""
+    calls = [[], ["--help"], *([command, "--help"] for command in COMMANDS)]
+    code = (
+        "import sys, runpy\n"
+        "for arguments in {}:\n"
+        "    sys.argv[1:] = arguments; runpy.run_module('gctd3', run_name='__main__')\n"
+        "    print([name for name in ('torch', 'torchrl', 'hydra') if name in sys.modules])\n"
+    )
+    done = fresh("-W", "error", "-c", code.format(calls))
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    *said, rest = done.stdout.split("[]\n")
+    assert len(said) == len(calls) and rest == ""
+    assert all(summary("render") in one or "Keys (key=default):" in one for one in said)
 
 
 def test_the_reference_needs_nothing_heavy():

@@ -52,11 +52,11 @@ def test_an_empty_reward_is_there_to_be_filled():
     settings = build(composed("reward=empty", "+reward.terms.alive._target_=gctd3.Living"))
     assert list(settings.reward.terms) == ["alive"]
     with pytest.raises(ConfigError, match=r"reward.terms must hold at least one term, got none"):
-        build(composed("reward=empty"))
+        build(composed("reward=empty")).setup()
 
 
 @pytest.mark.parametrize("option", [option for group, option in OPTIONS if group == "reward" and option != "empty"])
-def test_every_reward_can_judge_too(option):
+def test_every_reward_can_evaluate_too(option):
     settings = build(composed(f"reward@evaluation.reward={option}"))
     assert settings.evaluation.reward == build(composed(f"reward={option}")).reward
 
@@ -89,7 +89,8 @@ def test_a_librarys_task_brings_what_goes_with_it(task):
     assert (settings.env.backend, settings.env.num_envs) == ("library", 8)
     assert settings.exploration.warmup == "uniform" and not settings.replay.mirror
     assert settings.stop_when.evaluations is None
-    # What is asked for comes before it.
+    assert not settings.reward.terms and not settings.evaluation.reward.terms
+    # The command line overrides the task's own settings.
     assert build(composed(f"task={task}", "env.num_envs=3")).env.num_envs == 3
 
 
@@ -106,7 +107,7 @@ def test_the_other_commands_build(root):
 
 
 def test_yaml_and_python_agree(default):
-    """What a library user gets by default is what a command line gets."""
+    """The defaults of the Python functions equal those of the command line."""
     settings = build(default)
     assert settings.network == Network() and settings.algo == TD3Settings()
     assert settings.exploration == ExplorationSettings() and settings.replay == ReplaySettings()
@@ -143,14 +144,14 @@ def test_presets_are_read_as_yaml_reads_them():
 
 
 def test_every_key_has_a_comment():
-    """On its line, or above it and the keys that follow."""
+    """Every key of every YAML has a comment on its line, or above it and the keys that follow."""
     assert [
         f"{preset.group}/{preset.name}: {change.key}" for preset in SPARE for change in preset.changes if not change.why
     ] == []
 
 
 def test_what_a_preset_says_differs_from_the_default():
-    """A default that stands in a YAML too would be written twice."""
+    """No YAML repeats a dataclass's default."""
     checked = 0
     for preset in SPARE:
         if preset.target is None:
@@ -172,7 +173,7 @@ def test_a_command_says_no_defaults(command):
 
 
 def attributes(tree):
-    """Names of attributes that are read, but by the checks of settings."""
+    """Return the names of attributes that are read outside the checks of settings."""
     if isinstance(tree, ast.FunctionDef) and tree.name == "__post_init__":
         return set()
     own = {tree.attr} if isinstance(tree, ast.Attribute) else set()
@@ -180,7 +181,7 @@ def attributes(tree):
 
 
 def test_every_setting_is_explained_and_read():
-    """A field that nothing but its own check reads is no setting."""
+    """Every field has a meaning, and is read outside its own check."""
     read, checked = set(), 0
     for file in Path(gctd3.__file__).parent.rglob("*.py"):
         read |= attributes(ast.parse(file.read_text(encoding="utf-8")))

@@ -1,4 +1,4 @@
-"""Settings: every mistake is answered with what would be right."""
+"""Every wrong setting is answered with the accepted values."""
 
 import math
 import re
@@ -6,6 +6,7 @@ import re
 import pytest
 from configs import composed, edited, items
 from hydra import compose, initialize_config_module
+from running import command, tiny
 
 from gctd3.config.build import build, suggest
 from gctd3.errors import ConfigError
@@ -24,7 +25,7 @@ def fails(config):
 
 # Mistakes.
 
-# Mappings of terms by names that may be any.
+# Mappings of terms with arbitrary names.
 OF_TERMS = ["reward.terms", "evaluation.reward.terms"]
 OF_TERMS += [f"task.{kind}" for kind in ("features", "terminations", "randomisations", "commands")]
 
@@ -34,7 +35,7 @@ def test_a_misspelt_key_is_named_with_the_nearest_one(default):
     for key, _ in items(default):
         parent, _, name = key.rpartition(".")
         if parent in ("stop_when.at_least", "stop_when.at_most", *OF_TERMS):
-            continue  # names of metrics, and names that are one's own
+            continue  # names of metrics, and arbitrary names
         wrong = name[:-1] + name[-1] * 2
         message = fails(edited(default, key, rename=wrong))
         assert f"{parent}.{wrong}".lstrip(".") in message
@@ -51,7 +52,7 @@ def test_nothing_like_a_key_is_only_told_what_is_accepted(default):
 
 
 def test_a_value_of_the_wrong_type_is_named(default):
-    """Any key: a mapping where none belongs, and a text where a number belongs."""
+    """Any key given a mapping where none belongs, or a text where a number belongs, is named."""
     checked = 0
     for key, _ in items(default):
         if key.startswith(("stop_when.at_least.", "stop_when.at_most.")):
@@ -156,3 +157,25 @@ def test_a_mandatory_value_that_was_not_given_is_named():
 def test_a_target_that_is_none(default, target):
     message = fails(edited(default, "task.randomisations.joint_noise._target_", target))
     assert message.startswith("task.randomisations.joint_noise") and "_target_" in message and repr(target) in message
+
+
+@pytest.mark.parametrize(
+    "key, near",
+    [
+        ("updates", "gradient_steps"),
+        ("steps", "rollout_steps"),
+        ("warmup_frames", "exploration.learning_starts"),
+        ("replay.capacity", "replay.buffer_size"),
+        ("learning_rate", "algo.learning_rate"),
+        ("algo.learning_rat", "algo.learning_rate"),
+        ("algo.discount", "algo.gamma"),
+        ("reward.terms.fal", "reward.terms.fall"),
+        ("exploration.zzz", None),
+    ],
+)
+def test_an_unknown_key_of_a_command_line_is_answered_with_the_nearest_by_meaning(capsys, tmp_path, key, near):
+    assert command("train", *tiny(tmp_path / "run", f"{key}=3")) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: Unknown key {key!r}.{f' Did you mean {near!r}?' if near else ''} Accepted: "), (
+        error
+    )

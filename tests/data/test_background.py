@@ -1,4 +1,4 @@
-"""Functions that run in a thread of their own."""
+"""Functions run in threads of their own."""
 
 import subprocess
 import sys
@@ -8,7 +8,7 @@ import pytest
 
 from gctd3.data.background import in_thread
 
-# A child that asks for a signal at its parent's death, as Ray's servers do, and the parent's one line about it.
+# A child that asks for a signal at its parent's death, as Ray's servers do; the parent prints the outcome.
 ASKING = """
 import ctypes, signal, subprocess, sys, time
 from gctd3.data.background import in_thread
@@ -17,7 +17,7 @@ def child():
     return subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], preexec_fn=ask)
 started = in_thread(child, stays={stays}).result()
 try:
-    print(started.wait(2.0))
+    print(started.wait(0.5))
 except subprocess.TimeoutExpired:
     print("lives")
     started.kill()

@@ -1,4 +1,4 @@
-"""Exploration: how long the warm-up lasts, what its gaits look like, and whose actions follow it."""
+"""Exploration: the length of the warm-up, the shape of its gaits, and the policy that acts after it."""
 
 import itertools
 
@@ -33,14 +33,14 @@ def step(explorer, nodes=None, is_init=False):
 @pytest.fixture
 def actor(graph):
     actor = make_actor(graph)
-    for parameter in actor.parameters():  # so that it acts, and differently in every state
+    for parameter in actor.parameters():  # so that the actor's actions differ from state to state
         torch.nn.init.normal_(parameter, std=0.2)
     return actor
 
 
 @pytest.fixture
 def still(monkeypatch):
-    """Rhythms without noise."""
+    """Make rhythms without noise."""
     monkeypatch.setattr(Rhythm, "NOISE", 0.0)
 
 
@@ -69,7 +69,7 @@ def test_uniform_actions_are_held(robot, actor):
     drawn = torch.stack(actions[::3])
     assert drawn.abs().max() <= 1.0
     assert abs(float(drawn.mean())) < 0.03 and float(drawn.var()) == pytest.approx(1 / 3, abs=0.02)
-    assert not torch.equal(drawn[0, 0], drawn[0, 1])  # every robot its own
+    assert not torch.equal(drawn[0, 0], drawn[0, 1])  # each robot has its own
 
 
 def test_an_action_written_down_is_not_changed_by_the_next(robot, actor):
@@ -97,7 +97,7 @@ def gaits(robot, robots, steps, low=1.2, high=2.4):
 
 def test_rhythmic_actions_stay_in_range(robot):
     _, actions = gaits(robot, 300, 50)
-    assert actions.abs().max() == 1.0  # some are cut off
+    assert actions.abs().max() == 1.0  # some are clipped
 
 
 def test_mirrored_joints_follow_half_a_period_later(biped, still):
@@ -143,23 +143,23 @@ def evolving(robot, robots=64):
     return rhythm, everyone, nobody
 
 
-def test_heirs_are_near_the_gaits_that_got_farthest(robot):
+def test_mutations_are_near_the_gaits_that_got_farthest(robot):
     rhythm, everyone, nobody = evolving(robot)
     far = torch.arange(64) >= 48
     parents = {name: getattr(rhythm, name)[far].clone() for name in rhythm.MUTATION}
     rhythm(nobody, torch.where(far, 3.0, 0.1))
-    rhythm(everyone, torch.zeros(64))  # all begin anew; the start of an episode is no distance walked
+    rhythm(everyone, torch.zeros(64))  # all begin anew; a start is not counted as distance
     distance = sum(
         ((getattr(rhythm, name)[:, None] - parents[name][None]) / size).square().reshape(64, 16, -1).mean(-1)
         for name, size in rhythm.MUTATION.items()
     )
-    # Four rivals, a quarter of all robots far: 1 - (3/4)^4 = 0.68 of the heirs descend from those.
+    # Four rivals, a quarter of all robots far: 1 - (3/4)^4 = 0.68 of the mutations descend from those.
     assert float((distance.min(dim=1).values < 12.0).float().mean()) == pytest.approx(0.68, abs=0.15)
     assert (rhythm.amplitude >= 0.1).all() and (rhythm.amplitude <= 1.0).all()
     assert (rhythm.frequency >= 1.2).all() and (rhythm.frequency <= 2.4).all()
 
 
-def test_heirs_alternate_too(robot, still):
+def test_mutations_alternate_too(robot, still):
     rhythm, everyone, nobody = evolving(robot)
     for _ in range(20):
         rhythm(nobody, torch.rand(64))
@@ -179,8 +179,8 @@ def test_only_the_farthest_is_remembered(robot):
     assert torch.equal(rhythm.best_phase, best) and (rhythm.farthest == 2.0).all()
 
 
-def test_without_heirs_nothing_is_drawn_besides(robot):
-    """So that the seeds of other trainings keep their meaning."""
+def test_without_mutations_nothing_else_is_drawn(robot):
+    """With ``mutation_share=0`` no further numbers are drawn: the seeds of other trainings keep their meaning."""
     torch.manual_seed(0)
     plain = Rhythm(robot, 4, (1.2, 2.4), DT)
     plain(torch.ones(4, dtype=torch.bool))
@@ -208,7 +208,7 @@ def test_noise_is_spread_geometrically_over_the_robots(robot, actor):
         torch.nn.init.zeros_(parameter)  # acts with zeros, so that only noise is seen
     actions = torch.stack([step(explore) for _ in range(1000)])
     assert actions.abs().max() <= 1.0
-    expected = torch.tensor([0.05, 0.1, 0.2, 0.4])  # of 6000; at 0.4 one in eighty is cut off at 1
+    expected = torch.tensor([0.05, 0.1, 0.2, 0.4])  # of 6000; at 0.4 one in eighty is clipped to 1
     torch.testing.assert_close(actions.std(dim=(0, 2)), expected, rtol=0.04, atol=0.0)
 
 
@@ -256,7 +256,7 @@ def test_a_policy_that_is_random_by_itself_is_drawn_from(robot, graph):
 
 
 def test_it_is_the_live_actor_that_acts(robot, task, actor):
-    """Also in a collector, which could have copied it."""
+    """The actor under training acts, also in a collector, which could have copied it."""
     explore = explorer(robot, actor, learning_starts=0, noise=None)
     env = env_of(task)
     collector = Collector(env, explore, frames_per_batch=4, total_frames=12)

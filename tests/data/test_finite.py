@@ -1,4 +1,4 @@
-"""Numbers that are none, and robots that explode: named, kept to find the cause, and no other robot's affair."""
+"""NaN and infinite values and diverged robots are named, saved for analysis, and do not affect other robots."""
 
 import csv
 
@@ -15,13 +15,14 @@ from gctd3.envs.simulation import BEGINNING, Simulation
 from gctd3.errors import NumericalError
 from gctd3.files import load_tree, read_manifest
 from gctd3.training.checkpoint import Checkpoints
+from gctd3.training.saved_configuration import load_settings
 
 STEP = 25  # control steps of the four robots before the fault: 100 frames, after the warm-up
 ROBOT = 2
 
 
 class Poisoned(Recorded):
-    """A training whose environment, networks or losses go bad after ``STEP`` steps."""
+    """Train until the environment, networks or losses give NaN after ``STEP`` steps."""
 
     poison = staticmethod(lambda trainer: None)
 
@@ -37,7 +38,7 @@ def poisoned(poison):
 
 
 def bad_output(key, index):
-    """A poison that puts NaN into what the environment's next step gives for ``key``."""
+    """Return a function that puts NaN into the environment's next output for ``key``."""
 
     def poison(trainer):
         env = trainer.collector.env
@@ -91,7 +92,7 @@ def test_a_number_that_is_none_ends_the_training(tmp_path, capsys, fault):
     error = capsys.readouterr().err.split("error: ")
     assert len(error) == 2 and "Traceback" not in error[1]
     assert "After 100 steps and " in error[1] and said in error[1] and str(run / "post_mortem") in error[1]
-    # What was saved before is as it was.
+    # Files saved before are unchanged.
     assert before and contents(run / "checkpoints") == before
     assert Checkpoints(run).newest() is not None
     aside = run / "post_mortem"
@@ -112,7 +113,7 @@ def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_policy_of_nan_is_not_judged(tmp_path, capsys):
+def test_a_policy_of_nan_is_not_evaluated(tmp_path, capsys):
     class Bad(Recorded):
         def _evaluate(self):
             bad_actor(self)
@@ -130,7 +131,7 @@ def test_a_policy_of_nan_is_not_judged(tmp_path, capsys):
 
 
 class Poison(Transform):
-    """Spoils one value of one robot in the third step."""
+    """Change one value of one robot in the third step."""
 
     def __init__(self, key, change):
         super().__init__(in_keys=[], out_keys=[])
@@ -189,9 +190,11 @@ def test_an_action_out_of_its_range_is_found(task, value, said):
 
 
 @pytest.mark.parametrize("backend", ["batched", "dm_control"])
-def test_checking_changes_nothing(tmp_path, backend):
-    runs = [train(tmp_path / str(i), f"env.backend={backend}", f"env.check={i}") for i in ("false", "true")]
-    assert rows(runs[0], drop=("wall_s",)) == rows(runs[1], drop=("wall_s",))
+def test_checking_changes_nothing(finished, tmp_path, backend):
+    unchecked = finished["gctd3" if backend == "batched" else backend]
+    assert not load_settings(unchecked).env.check
+    checked = train(tmp_path / "run", f"env.backend={backend}", "env.check=true")
+    assert rows(checked, drop=("wall_s",)) == rows(unchecked, drop=("wall_s",))
 
 
 def test_what_the_check_finds_is_kept(tmp_path, capsys):
@@ -209,7 +212,7 @@ def test_what_the_check_finds_is_kept(tmp_path, capsys):
 # Simulations that diverge.
 
 
-@pytest.mark.parametrize("control_dt", [0.02, 0.005])  # 0.005: one physics step, after which the clock is as without
+@pytest.mark.parametrize("control_dt", [0.02, 0.005])  # 0.005: one physics step, after which the clock looks normal
 @pytest.mark.parametrize("age", [0, 7])
 def test_a_batched_robot_that_explodes_falls_alone(robot, age, control_dt, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

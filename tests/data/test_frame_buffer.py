@@ -1,4 +1,4 @@
-"""Frames stored once against the stacks that the environment delivered: the same transitions, wherever they lie."""
+"""The buffer of single frames gives the same transitions as the stacks that the environment delivered."""
 
 import pytest
 import torch
@@ -13,7 +13,7 @@ ROBOTS, STEPS, HISTORY, GAMMA = 5, 160, 5, 0.9
 
 @pytest.fixture(scope="module")
 def collected():
-    """Random actions of five robots: they fall again and again, each at its own time."""
+    """Collect random actions of five robots, which fall again and again, each at its own time."""
     torch.manual_seed(0)
     rollout = gctd3.make_env("biped", num_envs=ROBOTS, history=HISTORY, seed=0).rollout(
         STEPS, break_when_any_done=False
@@ -29,7 +29,7 @@ def fill(buffer, collected, chunk):
 
 
 def expected(collected, n_step):
-    """Every n-step transition by TorchRL's buffer, found by its action, which is drawn anew in every step."""
+    """Return every n-step transition of TorchRL's buffer, by its action, which differs in every step."""
     stacked = fill(StackedBuffer(10_000, 1, n_step, GAMMA), collected, STEPS).torchrl[:]
     return {tuple(action.tolist()): stacked[i] for i, action in enumerate(stacked["action"])}
 
@@ -64,7 +64,7 @@ def test_draws_every_transition_that_is_ready_and_no_other(collected):
 
 
 def test_final_frames_do_not_pile_up(collected):
-    """Their places are used again, so the table stays as small as what the ring can hold at once."""
+    """The places of final frames are used again, so the table stays as small as the ring allows."""
     buffer = FrameBuffer(30 * ROBOTS, 1, HISTORY, 1, GAMMA)
     for _ in range(20):
         fill(buffer, collected, 40)
@@ -103,7 +103,7 @@ def test_once_cleared_it_draws_only_what_came_after(collected, capacity, restore
         state, buffer = buffer.state_dict(), FrameBuffer(capacity * ROBOTS, 64, HISTORY, 3, GAMMA)
         buffer.load_state_dict(state, iter([]))
     fill(buffer, collected[:, 100:120], 10)
-    # The first four may lack their past, the last three their future.
+    # The first four rows may lack earlier frames, the last three later ones.
     assert buffer.ready == 20 - 4 - 3
     reference = {tuple(action.tolist()) for action in collected["action"][:, 104:117].reshape(-1, 6)}
     torch.manual_seed(0)

@@ -1,4 +1,4 @@
-"""Workers in processes of their own: TorchRL's collectors, killed and stopped on the way."""
+"""Workers in processes of their own: TorchRL's collectors, killed and stopped while they collect."""
 
 import multiprocessing
 import os
@@ -17,7 +17,7 @@ PROCESS = ["collector=process", "collector.chunk=2"]
 
 
 def nobody_is_left():
-    """Whether all processes end soon; one that was killed may take its time on a busy machine."""
+    """Return whether all processes end soon; a killed one may take its time on a busy machine."""
     deadline = time.monotonic() + 60
     while multiprocessing.active_children() and time.monotonic() < deadline:
         time.sleep(0.1)
@@ -34,7 +34,7 @@ def test_a_process_acts_with_the_weights_that_it_is_sent(robot):
 
 
 class Struck(Recorded):
-    """A trainer one of whose workers is killed, and then the other one stopped."""
+    """Train while one worker is killed and then the other one stopped."""
 
     def _learn(self, bar, seen):
         super()._learn(bar, seen)
@@ -54,7 +54,7 @@ def test_workers_that_die_or_hang_are_replaced_and_the_training_ends_well(tmp_pa
     trainer = Recorded.last
     assert trainer.collector.replaced == 2
     assert [int(row["frames"]) for row in rows(run)] == [80, 160, 240]
-    # As many updates as frames ask for, past the warm-up: 2 for every step of the 4 robots.
+    # The number of updates follows from the frames after the warm-up: 2 for every step of the 4 robots.
     assert 2 * (240 - 80) // 4 <= trainer.algorithm.updates <= 2 * (240 - 80) // 4 + 4
     assert nobody_is_left()
 
@@ -81,7 +81,7 @@ def test_a_signal_to_all_processes_leaves_a_checkpoint_and_nobody_behind(tmp_pat
         assert time.monotonic() < deadline and running.poll() is None, "no checkpoint"
         time.sleep(0.1)
     if number == signal.SIGKILL:
-        running.kill()  # the learner only: its workers have to notice
+        running.kill()  # kill the learner only: its workers have to end by themselves
     else:
         os.killpg(running.pid, number)
     _, error = running.communicate(timeout=120)

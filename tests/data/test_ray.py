@@ -1,4 +1,4 @@
-"""Workers on a Ray cluster: what is wrong with one is said at once; the rest, on a cluster of this machine, is slow."""
+"""Workers on a Ray cluster: an unfit cluster is refused at once; trainings on a cluster of this machine are slow."""
 
 import contextlib
 import importlib.util
@@ -67,8 +67,8 @@ def test_a_wrong_address_is_said_within_seconds(tmp_path):
 
 @pytest.fixture
 def head(monkeypatch):
-    """A function that starts a head node with so many CPUs and returns its address; all ends with the test."""
-    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # for whoever joins, too
+    """Return a function that starts a head node and returns its address; everything ends with the test."""
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # also for processes that join
     ray = [sys.executable, "-m", "ray.scripts.scripts"]
     started = []
 
@@ -100,7 +100,7 @@ def head(monkeypatch):
 
 
 def kill_session(leader):
-    """All processes of a session that the test began."""
+    """Kill all processes of a session that the test began."""
     found = subprocess.run(["pgrep", "-s", str(leader)], capture_output=True, text=True).stdout.split()
     for pid in map(int, found):
         with contextlib.suppress(ProcessLookupError):
@@ -194,7 +194,7 @@ def test_an_unfit_cluster_is_refused_with_its_reason(tmp_path, head, wrong):
     other = tmp_path / "site" / "mujoco-0.0.1.dist-info"
     other.mkdir(parents=True)
     (other / "METADATA").write_text("Metadata-Version: 2.1\nName: mujoco\nVersion: 0.0.1\n")
-    with socket.create_server(("127.0.0.1", 0)) as silent:  # accepts and says nothing
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # accepts connections and never answers
         address = f"127.0.0.1:{silent.getsockname()[1]}"
         if wrong != "no Ray":
             site = {"PYTHONPATH": str(tmp_path / "site")} if wrong == "another version" else {}
@@ -204,7 +204,7 @@ def test_an_unfit_cluster_is_refused_with_its_reason(tmp_path, head, wrong):
     said = {
         "too few CPUs": "room for 1",
         "another version": "mujoco 0.0.1 on ",
-        "no Ray": "has not answered as a Ray cluster",
+        "no Ray": "no Ray cluster has answered there",
     }
     assert said[wrong] in done.stderr
     assert not (tmp_path / "run").exists()

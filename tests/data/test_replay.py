@@ -24,7 +24,7 @@ GAMMA = 0.5
 
 
 def flags(robots, time, *places):
-    """Bool ``[robots, time]``, true at each (robot, t)."""
+    """Return bool ``[robots, time]``, true at each (robot, t)."""
     mask = torch.zeros(robots, time, dtype=torch.bool)
     for place in places:
         mask[place] = True
@@ -32,7 +32,7 @@ def flags(robots, time, *places):
 
 
 def episodes(terminated, truncated):
-    """What a collector delivers: nodes hold the time, an episode's last ones half a step more; counters the robot."""
+    """Make a collector's batch: nodes hold the time, an episode's last ones half a step more; counters the robot."""
     robots, time = terminated.shape
     ends = {"terminated": terminated[..., None], "truncated": truncated[..., None]}
     ends["done"] = ends["terminated"] | ends["truncated"]
@@ -49,7 +49,7 @@ def episodes(terminated, truncated):
 
 
 def filled(storage, collected, sizes, n_step, capacity=1000, history=1, gamma=GAMMA):
-    """A replay that got the collected steps in chunks of the given sizes."""
+    """Fill a replay with the collected steps in chunks of the given sizes."""
     settings = ReplaySettings(buffer_size=capacity, batch_size=1, n_step=n_step, mirror=False, storage=storage)
     replay = Replay(settings, gamma, history)
     for chunk in collected.split(list(sizes), dim=1):
@@ -58,7 +58,7 @@ def filled(storage, collected, sizes, n_step, capacity=1000, history=1, gamma=GA
 
 
 def held(replay):
-    """All that can be drawn, in one order: here by robot, then by time."""
+    """Return all transitions that can be drawn, ordered by robot, then by time."""
     if replay.settings.storage == "stacked":
         content = replay.buffer.torchrl[:].exclude("index")
     else:
@@ -105,7 +105,7 @@ def test_three_step_windows_by_hand(storage, sizes):
 
 
 def test_every_place_for_the_ends_of_episodes_counts():
-    """Places for 64 last frames are made at once; here each of them is taken."""
+    """All of the 64 places for last frames that are made at once can be used."""
     collected = episodes(flags(64, 8, *((robot, 2) for robot in range(64))), flags(64, 8))
     frames, stacked = (held(filled(storage, collected, (8,), 3)) for storage in STORAGES)
     assert len(frames) == 64 * 5 == len(stacked)
@@ -145,7 +145,7 @@ def test_windows_of_any_length_in_chunks_of_any_size(storage, n, sizes, share, s
 
 @pytest.mark.parametrize("storage", STORAGES)
 def test_a_collector_may_deliver_one_step_at_a_time(robot, graph, storage):
-    """What TorchRL's collector delivers is not overwritten by what it delivers next."""
+    """A batch from TorchRL's collector is not overwritten by its next one."""
 
     def collect(steps):
         torch.manual_seed(0)
@@ -166,7 +166,7 @@ def test_a_collector_may_deliver_one_step_at_a_time(robot, graph, storage):
         assert torch.equal(one[key], many[key]), key
 
 
-# What is kept.
+# Stored transitions.
 
 
 @pytest.mark.parametrize("n_step", [1, 3])
@@ -183,7 +183,7 @@ def test_the_oldest_leave_first(storage, newest):
     for t in range(8):
         replay = filled(storage, steps[:, : t + 1], [1] * (t + 1), 1, capacity=5)
         assert len(replay) == min(t + 1, 5)
-    # Of frames, the newest has no next one yet.
+    # In the frame buffer the newest step has no next frame yet.
     assert {float(replay.sample()["nodes"][0, 0, 0]) for _ in range(100)} == set(newest)
 
 
@@ -224,7 +224,7 @@ def mirror_of(robot):
 
 
 def mirrored_pair(robot):
-    """Two robots, the second in the mirrored state of the first."""
+    """Simulate two robots, the second in the mirrored state of the first."""
     task = walking(robot)
     simulation = Simulation(task, 2, seed=3, threads=1)
     simulation.reset(np.ones(2, dtype=bool))

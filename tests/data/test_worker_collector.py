@@ -1,4 +1,4 @@
-"""Collecting beside learning: what workers deliver, and what happens when they fail."""
+"""Collecting while learning: the batches that workers deliver, and how the collector handles their failures."""
 
 import dataclasses
 import threading
@@ -21,10 +21,10 @@ from gctd3.errors import ConfigError, WorkerError
 
 
 class Near(Worker):
-    """Steps its robots in the thread that asks; breaks or hangs at the batches that it is told to."""
+    """Step the robots in the calling thread; fail or hang at the batches that the test chooses."""
 
     made: ClassVar = []  # jobs, in the order of their beginnings
-    faults: ClassVar = {}  # by number of the worker and batch: what to do
+    faults: ClassVar = {}  # fault by number of the worker and batch
 
     def __init__(self, job):
         Near.made.append(job)
@@ -55,7 +55,7 @@ def hangs(worker):
 
 @pytest.fixture
 def collector(robot, monkeypatch):
-    """A function that makes a collector of workers that are near; it starts them one after another."""
+    """Return a function that makes a collector with workers in this process, started one after another."""
     monkeypatch.setattr(Near, "made", [])
     monkeypatch.setattr(Near, "faults", {})
     starting = threading.Lock()
@@ -78,7 +78,7 @@ def collector(robot, monkeypatch):
 
 
 def assert_continuous(batches):
-    """What follows a step is what the next one sees, unless its episode ended."""
+    """Assert that each next observation is the following step's observation, unless the episode ended."""
     whole = torch.cat(batches, dim=1)
     going = ~whole["next", "done"][:, :-1, 0]
     assert going.any()
@@ -86,7 +86,7 @@ def assert_continuous(batches):
     assert torch.equal(whole["step_count"][:, 1:, 0][~going], torch.zeros_like(whole["step_count"][:, 1:, 0][~going]))
 
 
-# What is delivered.
+# Delivered batches.
 
 
 def test_all_robots_are_there_and_go_on_from_batch_to_batch(collector):
@@ -95,7 +95,7 @@ def test_all_robots_are_there_and_go_on_from_batch_to_batch(collector):
     assert all(batch.batch_size == (ROBOTS, STEPS) for batch in batches)
     assert_continuous(batches)
     assert batches[0]["is_init"][:, 0].all() and collect.replaced == 0
-    # The explorer that does not act counts what was delivered: the warm-up's length does not depend on who collects.
+    # The learner's explorer counts delivered frames: the warm-up's length does not depend on the collector.
     assert int(collect.explorer.frames) == 8 * ROBOTS * STEPS
     settings = collect.settings
     assert (
@@ -138,7 +138,7 @@ def test_every_worker_has_a_seed_of_its_own_and_so_has_who_replaces_it(collector
 
 
 def test_batches_are_collected_with_the_weights_of_their_moment(collector):
-    """Once warmed up and without noise, an action is what the actor gave with the weights that it had been sent."""
+    """Without warm-up and noise, actions are the actor's with the weights that the worker was sent."""
     collect = collector("exploration.learning_starts=0", "exploration.noise=null")
     actor, given = collect.explorer.actor, []
 
@@ -151,7 +151,7 @@ def test_batches_are_collected_with_the_weights_of_their_moment(collector):
             parameter.data.normal_(std=0.1 * (call + 1))
         given.append(TensorDict.from_module(actor).data.clone())
         batch = collect.collect()
-        # One batch is held and one under way, so it was asked for two calls ago; the first call asks for all of them.
+        # One batch is held and one under way, so a batch was requested two calls ago; the first call requests all.
         assert acted_with(given[max(0, call - 2)], batch)
         assert call == 0 or not acted_with(given[call], batch)
 
@@ -162,7 +162,7 @@ def test_batches_are_collected_with_the_weights_of_their_moment(collector):
 @pytest.mark.parametrize("fault", [breaks, hangs])
 def test_a_worker_that_fails_is_replaced_and_nothing_else_changes(collector, capsys, fault):
     Near.faults = {(0, 3): fault}
-    # The first to begin is not always the first worker.
+    # The first worker to begin is not always number 0.
     collect = collector("collector.timeout=1")
     batches = [collect.collect() for _ in range(6)]
     failed, other = Near.made[0].share, next(job.share for job in Near.made if job.share != Near.made[0].share)
@@ -186,7 +186,7 @@ def test_a_worker_that_never_lasts_is_given_up(collector, capsys):
     with pytest.raises(WorkerError, match=r"The worker's node is gone.*has failed 3 times in a row"):
         collect.collect()
     assert capsys.readouterr().err.count("another takes its place") == 2
-    # What it held is still there to be saved, and to go on with once the cause is gone.
+    # The held batches can still be saved, and the collector continues once the cause is gone.
     Near.faults = {}
     assert collect.collect().batch_size == (ROBOTS, STEPS)
 
@@ -210,7 +210,7 @@ def test_what_was_cut_short_bootstraps_and_what_fell_does_not():
 
 
 def test_replay_never_joins_the_frames_of_two_episodes(collector):
-    """Through a fault: every stack and every next frame that is drawn belongs to one episode of one robot."""
+    """After a fault, every drawn stack and next frame belongs to one episode of one robot."""
     Near.faults = {(0, 3): breaks, (2, 4): breaks}
     collect = collector("replay.n_step=3", "replay.mirror=false", "replay.batch_size=500")
     replay = Replay(collect.settings.replay, gamma=0.99)
@@ -227,7 +227,7 @@ def test_replay_never_joins_the_frames_of_two_episodes(collector):
     assert {tuple(stack.flatten().tolist()) for stack in drawn["next", "nodes"]} <= following
 
 
-# Going on.
+# Resuming.
 
 
 @pytest.mark.parametrize("workers", [1, 2, 4])

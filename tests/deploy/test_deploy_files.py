@@ -1,4 +1,4 @@
-"""An exported policy's files: those that do not belong together are refused, and NumPy and onnxruntime run the rest."""
+"""An exported policy's files are refused if they do not belong together, and run with NumPy and onnxruntime alone."""
 
 import json
 import subprocess
@@ -77,7 +77,7 @@ def test_it_runs_only_on_the_robot_that_it_was_trained_for(exported, robot, tmp_
         Policy(exported, robot=mine)
 
 
-# Without what it was trained with.
+# Without the packages of training.
 
 ALONE = """
 import sys

@@ -1,4 +1,4 @@
-"""Running an exported policy as a robot does: by named readings alone, in MuJoCo, and against every wrong reading."""
+"""An exported policy runs in MuJoCo from named readings alone, and refuses every wrong reading."""
 
 import math
 
@@ -22,12 +22,12 @@ def policy(exported):
 
 
 def still(policy, **changed):
-    """Readings of a robot that stands."""
+    """Return the readings of a robot that stands."""
     return {**dict.fromkeys(policy.contract.readings, 0.0), "down_foot_right": 1.0, "down_foot_left": True, **changed}
 
 
 class Fixed:
-    """In place of the network: gives these actions in turn, and keeps what it is given."""
+    """Replace the network: return given actions in turn, and keep the inputs."""
 
     def __init__(self, *actions):
         self.actions, self.seen = [np.full((1, 6), a, dtype=np.float32) for a in actions], []
@@ -46,7 +46,7 @@ def with_network(policy, *actions):
 
 
 def sense(model, data):
-    """Readings of the biped under their names; height counts from standing, 0.0235 m below the reference pose."""
+    """Read the biped by name; height counts from standing, 0.0235 m below the reference pose."""
     readings = {"height_m": data.joint("root_z").qpos[0] + 0.0235, "velocity_m_s": data.joint("root_x").qvel[0]}
     for side in ("right", "left"):
         for joint in (f"hip_{side}", f"knee_{side}", f"ankle_{side}"):
@@ -57,7 +57,7 @@ def sense(model, data):
 
 
 def walk(policy, robot, start, steps):
-    """Drive MuJoCo through the policy's commands alone; ``qpos`` and commands after each control step."""
+    """Drive MuJoCo through the policy's commands alone; return ``qpos`` and commands after each control step."""
     model, data = robot.model, mujoco.MjData(robot.model)
     data.qpos[:], data.qvel[:] = np.split(start, [model.nq])
     mujoco.mj_forward(model, data)
@@ -72,7 +72,7 @@ def walk(policy, robot, start, steps):
 
 
 def test_the_loop_through_it_is_the_torch_policys(robot, task, policy):
-    """From the same start to the finish: the same actions, the same way."""
+    """From the same start to the finish, actions and positions equal those of the PyTorch policy."""
     env = env_of(task, seed=7, num_envs=1)
     state = env.reset()
     simulation = env.base_env.simulation
@@ -96,7 +96,7 @@ def test_the_loop_through_it_is_the_torch_policys(robot, task, policy):
 
 
 def test_history_is_the_environments(robot, task, policy):
-    """The network gets, bit for bit, what CatFrames makes of the same frames, from the first one on."""
+    """The network's input equals, bit for bit, CatFrames of the same frames, from the first one on."""
     network = with_network(policy, 0.0)
     env = env_of(task, num_envs=1)
     state, expected = env.reset(), []
@@ -144,11 +144,11 @@ def test_a_desired_angle_changes_no_faster_than_allowed(policy):
     with_network(policy, 1.0, 1.0, 1.0, -1.0)
     hips = [policy.step(still(policy), i * PERIOD)["hip_right"] for i in range(4)]
     assert hips == pytest.approx([0.3, 0.6, 0.7854, 0.4854])
-    # Held back were the first, the second and the last step, and the knee (from 0 to 0.0012) never before the last.
+    # The first, the second and the last step were limited, and the knee (from 0 to 0.0012) never before the last.
     assert policy.limited == 3
 
 
-# What is refused: a message, the last command to hold, and nothing else changed.
+# Refusals: a message, the last command to hold, and no other change.
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_wrong_readings_are_refused(policy, change, said):
         policy.step(wrong, PERIOD)
     assert said in str(refused.value)
     assert refused.value.command == last == policy.command
-    # Right ones still come in time.
+    # Valid readings are still accepted.
     follows = policy.step(still(policy), PERIOD)
     policy.reset()
     policy.step(still(policy), 0.0)

@@ -1,4 +1,4 @@
-"""The batched environment: the same numbers as dm_control, one reset at a time, whatever the threads."""
+"""The batched environment gives dm_control's numbers, resets robots one by one, and does not depend on its threads."""
 
 from collections import Counter
 from dataclasses import fields
@@ -28,7 +28,7 @@ def started(task, n, seed=0, threads=1):
 
 
 def held(n, hold, seed=0):
-    """Uniform random actions, each held for some steps."""
+    """Draw uniform random actions, each held for some steps."""
     rng, action = np.random.default_rng(seed), None
     for t in range(500):
         if t % hold == 0:
@@ -37,7 +37,7 @@ def held(n, hold, seed=0):
 
 
 def sinusoids(n):
-    """Legs swung in antiphase at 1.5 Hz: not at all by the first robot, fully by the last."""
+    """Swing the legs in antiphase at 1.5 Hz: not at all for the first robot, fully for the last."""
     size, stance, swing = np.linspace(0.0, 1.0, n)[:, None], np.array([0.1, 0.9, 0.0]), np.array([0.6, -1.0, -0.4])
     for t in range(500):
         wave = np.sin(2 * np.pi * 1.5 * 0.02 * t)
@@ -54,7 +54,7 @@ def copy_state(simulation, i, env):
 
 
 def assert_parity(task, n, policy):
-    """Both backends agree on every step of the policy. Returns how many episodes ended in which way."""
+    """Assert that both backends agree on every step of the policy; return how many episodes ended in which way."""
     simulation, envs, seen = started(task, n), [dmc.load(task) for _ in range(n)], Counter()
     for i, env in enumerate(envs):
         copy_state(simulation, i, env)
@@ -87,7 +87,7 @@ def assert_parity(task, n, policy):
 
 @pytest.mark.parametrize("hold", [1, 5])
 def test_parity_under_random_actions(robot, hold):
-    # Tight enough that every ending is met by chance.
+    # Limits so tight that random actions meet every termination.
     task = walking(robot, SHAPED, fall_height=-0.04, finish=0.1, hip_steps=25)
     seen = assert_parity(task, 4, held(4, hold))
     assert {"fall", "stuck_hip", "success"} <= set(seen)
@@ -245,7 +245,7 @@ def test_actions_that_are_not_finite_are_refused(task, bad):
 def test_substeps(robot):
     timestep = robot.model.opt.timestep
     assert [substeps_of(k * timestep, robot) for k in (1, 3, 4)] == [1, 3, 4]
-    # 0.005 s, the biped's timestep, and what of its multiples is nearest to each.
+    # 0.005 s, the biped's timestep, and its multiple that is nearest to each period.
     for period, nearest in ((0.0, 0.005), (-0.005, 0.005), (0.0025, 0.005), (0.0123, 0.01), (0.019, 0.02), (6.0, 5.0)):
         said = (
             rf"times 0\.005 s, the timestep of .*biped\.xml, got {period:g} s: the nearest that fits is {nearest:g} s\."

@@ -1,4 +1,4 @@
-"""The Gymnasium environments: Gymnasium's own checker, and the TorchRL environment as a second implementation."""
+"""The Gymnasium environments pass Gymnasium's checker and agree with the TorchRL environment."""
 
 import gymnasium
 import numpy as np
@@ -18,7 +18,7 @@ def test_gymnasium_checker():
 
 
 def test_vector_env_equals_torchrl_env():
-    """Same starts, same actions: the same stacks, rewards and endings until the first robot is reset."""
+    """Equal starts and actions give equal stacks, rewards and endings until the first robot is reset."""
     robots = 5
     vector = gymnasium.make_vec(BIPED, num_envs=robots)
     reference = gctd3.make_env("biped", num_envs=robots, seed=3)

@@ -1,4 +1,4 @@
-"""Training on tasks of dm_control and Gymnasium, and what is said of those that cannot be."""
+"""Training on tasks of dm_control and Gymnasium, and errors for tasks that are not supported."""
 
 import json
 import math
@@ -17,6 +17,7 @@ from gctd3.envs.factory import build_env
 from gctd3.envs.nodes import STATIC, NodeSensor
 from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError
+from gctd3.runs.evaluate import table
 from gctd3.runs.load import load_run
 from gctd3.training.saved_configuration import load_settings
 
@@ -41,19 +42,31 @@ def test_trains_and_evaluates(tmp_path, task, nodes, actions, capsys):
     assert load_settings(run).stop_when.evaluations is None
     policy = gctd3.load_policy(run)
     assert policy(TensorDict({"nodes": torch.randn(3, nodes, 4)}, [3]))["action"].shape == (3, actions)
+    trained = capsys.readouterr().out
     assert command("evaluate", f"run={run}", "episodes=1") == 0
     report = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
     assert report["task"] == load_settings(run).task.name
     # dm_control's rewards lie in [0, 1], and an episode has 1,000 steps.
     assert 0 <= report["return_mean"] <= 1000 or task != "walker_walk"
-    said = capsys.readouterr().out
-    # Nothing of the paper's, and no command that would refuse this run.
-    assert "380.0" not in said and "gctd3.evaluate run=" in said and "gctd3.view" not in said
+    evaluated = capsys.readouterr().out
+    # The output has the task's figures, no number of the paper's, and no command that would refuse this run.
+    assert "gctd3.evaluate run=" in trained and "gctd3.view" not in trained
+    assert "Best evaluation" in trained and "success" not in trained.partition("Best evaluation")[2]
+    assert all(figure in evaluated for figure in ("episodes", "return", "velocity, m/s", "distance, m"))
+    assert not any(figure in evaluated for figure in ("380.0", "paper", "success", "body position", "no gait"))
+    assert command("evaluate", f"run={run}", "episodes=1", "reward=table3") == 2
+    assert f"reward.terms must be empty for {report['task']}, which brings its own" in capsys.readouterr().err
     assert command("render", f"run={run}", f"out={tmp_path / 'walk.png'}") == 2
     assert "film is for tasks that gctd3 simulates" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("algorithm", ["sac", "ddpg"])
+def test_a_robot_that_cannot_walk_has_no_velocity_to_show():
+    report = {"task": "cartpole-balance", "episodes": 3, "return_mean": 12.0, "return_std": 1.5, "gait": {}}
+    said = table({**report, "velocity_mean": 0.0, "distance_mean": 0.0, "success_rate": 0.0})
+    assert [line.split()[:2] for line in said.splitlines()[1:]] == [["episodes", "3"], ["return", "12.0"]]
+
+
+@pytest.mark.parametrize("algorithm", ["sac", pytest.param("ddpg", marks=pytest.mark.nightly)])
 def test_other_algorithms_train_too(tmp_path, algorithm):
     run = train(tmp_path / "run", f"algo={algorithm}", "task=walker2d", *FEW, without=WITHOUT)
     settings = load_settings(run)
@@ -171,7 +184,7 @@ def test_the_tasks_own_observation(library, name, size):
     np.testing.assert_allclose(np.sort(state["nodes"][0, 0]), np.sort(theirs), rtol=1e-6)
     if library == "gymnasium":  # in its order
         np.testing.assert_allclose(state["nodes"][0, 0], theirs, rtol=1e-6)
-    # What the nodes would have been is at hand beside it, for the gait.
+    # The nodes' features are still read beside it, for the gait metrics.
     noded = library_env(library, name, num_envs=2, history=1)
     other = noded.reset()
     for _ in range(3):
@@ -203,7 +216,7 @@ def test_trains_on_nodes_that_say_what_they_are(tmp_path, capsys):
     state = env.reset()
     for _ in range(3):
         state = env.step(state.set("action", torch.ones(2, 6)))["next"]
-    # Two frames: what is sensed, in which only the newest is watched, and in both the same of what the node is.
+    # Two frames of sensed features, of which only the newest is compared, and the same constant features in both.
     older, newest = state["nodes"].unflatten(-1, (2, 2 + len(STATIC))).unbind(-2)
     assert torch.equal(newest[..., :2], torch.from_numpy(env.base_env.sensed))
     assert not torch.equal(older[..., :2], newest[..., :2])

@@ -1,4 +1,4 @@
-"""Robots of other libraries' tasks beside the same put together of TorchRL's own parts."""
+"""Robots of other libraries' tasks give the same steps as environments built from TorchRL's own parts."""
 
 import importlib
 from itertools import product
@@ -29,7 +29,7 @@ def stock(monkeypatch):
 
 
 def follow(env, actions):
-    """What every step gave, with the first state before them; of ours what the nodes sense, too."""
+    """Return every step's outputs, after the first state; for ours the node features too."""
     env.set_seed(SEED)
     state = env.reset()
     seen = [state.clone()]
@@ -85,7 +85,7 @@ def test_only_the_robots_that_are_to_be_reset_are():
     assert torch.equal(state["nodes"][::2], before["nodes"][::2])
     assert state["step_count"].tolist() == [[4], [0], [4]] and state["is_init"].tolist() == [[False], [True], [False]]
     assert not torch.equal(state["nodes"][1], before["nodes"][1])
-    # What was given out before stays as it was.
+    # Earlier outputs stay unchanged.
     assert before["step_count"].tolist() == [[4], [4], [4]]
 
 

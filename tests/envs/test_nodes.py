@@ -1,4 +1,4 @@
-"""Nodes read from dm_control's and Gymnasium's simulators, against what these environments observe themselves."""
+"""Nodes read from dm_control's and Gymnasium's simulators agree with these environments' own observations."""
 
 import mujoco
 import numpy as np

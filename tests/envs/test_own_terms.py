@@ -1,4 +1,4 @@
-"""A task composed of terms of one's own, with a command: the same on every backend, in checkpoints and in runs."""
+"""A task of custom terms with a command is the same on every backend, in checkpoints and in runs."""
 
 import gymnasium
 import numpy as np
@@ -100,14 +100,14 @@ def test_dm_control_runs_it(mine):
     for key in ("nodes", "counters", ("next", "reward")):
         assert torch.isfinite(rollout[key]).all(), key
     asked = rollout["nodes"][:, :, 0, -1]
-    # Held for five steps of 0.02 s, then another.
+    # A command is held for five steps of 0.02 s, then redrawn.
     assert (asked[:, 1:5] == asked[:, :1]).all() and (asked[:, 5] != asked[:, 4]).all()
     assert rollout["next", "terminated"].any()
     env.close()
 
 
 def test_dm_control_agrees_with_the_batched_one(mine):
-    """From the same states and the same commands: what is drawn differs, as their generators do."""
+    """From equal states and commands both backends agree; the commands are copied, since their generators differ."""
     env = dmc.load(mine, random=0)
     env.reset()
     held = env.task.state_dict()["memory"]
@@ -129,7 +129,7 @@ def test_dm_control_agrees_with_the_batched_one(mine):
 @pytest.mark.parametrize("backend", ["batched", "dm_control"])
 @pytest.mark.parametrize("taken", [3, 40])
 def test_an_environment_goes_on_as_it_would_have(mine, tmp_path, backend, taken):
-    """Commands, their clocks and what is drawn next are in the state; so are ends of episodes on the way."""
+    """The state holds commands, their clocks and their generator: a restored environment continues alike."""
 
     def follow(env, state, chosen):
         seen = []
@@ -153,14 +153,14 @@ def test_an_environment_goes_on_as_it_would_have(mine, tmp_path, backend, taken)
 
 
 def test_the_seed_says_which_commands(mine):
-    """An environment that was given its seed when it was made begins as one that was given it later."""
+    """A seed given at construction and one set later give the same commands."""
     env, same, other = (env_of(mine, seed=seed) for seed in (SEED, SEED + 1, SEED + 1))
     same.set_seed(SEED)
     first = env.reset()["nodes"]
     assert torch.equal(first, same.reset()["nodes"]) and not torch.equal(first, other.reset()["nodes"])
 
 
-def test_a_run_of_it_is_trained_resumed_judged_and_exported(tmp_path):
+def test_a_run_of_it_is_trained_resumed_evaluated_and_exported(tmp_path):
     whole = train(tmp_path / "whole", *SAID)
     part = stopped(tmp_path / "part", 160, *SAID)
     assert command("train", f"resume={part}") == 0

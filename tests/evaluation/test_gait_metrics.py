@@ -70,10 +70,10 @@ def test_support_fractions_sum_to_one(contacts):
         ("....####....", "....####...."),
         ("..##.####...", "..#######..."),  # a bounce of one sample
         ("..##..###...", "..#######..."),  # of two
-        ("..##...##...", "............"),  # three samples up are a step, and touches of two samples are none
+        ("..##...##...", "............"),  # three samples up are a step, and touches of two samples are noise
         ("..###...##..", "..###......."),
         ("..#.....####", "........####"),  # a scuff
-        ("##....######", "##....######"),  # how long the first and the last stretch would be, nobody knows
+        ("##....######", "##....######"),  # the lengths of the first and the last stretch are unknown
         ("######....##", "######....##"),
         ("#.####.....#", "######.....#"),
         ("............", "............"),
@@ -83,7 +83,7 @@ def test_support_fractions_sum_to_one(contacts):
 def test_debounce_by_hand(noisy, clean):
     contact = signal(noisy)
     assert marks(debounce(contact)) == clean
-    assert marks(contact) == noisy  # as it was
+    assert marks(contact) == noisy  # the input is unchanged
 
 
 def test_debounce_by_other_lengths():
@@ -97,7 +97,7 @@ def test_debounce_by_other_lengths():
 def test_touchdowns_by_hand():
     assert touchdowns(signal("...####....####..")).tolist() == [3, 11]
     assert touchdowns(signal("####....####")).tolist() == [8]  # it does not begin with a touchdown
-    assert touchdowns(signal("...##.###....####")).tolist() == [3, 13]  # a bounce is no second one
+    assert touchdowns(signal("...##.###....####")).tolist() == [3, 13]  # a bounce is not a second touchdown
     assert touchdowns(signal(".....")).tolist() == []
 
 

@@ -1,4 +1,4 @@
-"""What is done to a robot and its policy, against hand arithmetic and against MuJoCo's own forces."""
+"""Perturbations of a robot and its policy equal hand arithmetic and MuJoCo's own forces."""
 
 import copy
 from types import SimpleNamespace
@@ -14,7 +14,7 @@ from gctd3.envs.factory import make_env
 from gctd3.evaluation.perturbations import (
     Delayed,
     Noisy,
-    Shoved,
+    Pushed,
     altered,
     resting_action,
     sensor_deviation,
@@ -26,7 +26,7 @@ from gctd3.robots.robot import Robot
 
 
 def momentum(robot, qpos, qvel):
-    """Of the whole robot in the world's axes (N s), as MuJoCo has it."""
+    """Return the whole robot's momentum in the world's axes (N s), computed by MuJoCo."""
     data = mujoco.MjData(robot.model)
     data.qpos[:], data.qvel[:] = qpos, qvel
     mujoco.mj_fwdPosition(robot.model, data)
@@ -57,7 +57,7 @@ def test_an_impulse_is_a_great_force_for_a_short_time(robot):
     qpos, _ = pose(robot)
     model = copy.copy(robot.model)
     model.opt.timestep = 1e-6
-    # Nothing else may push: weight, servos, joint limits.
+    # Remove all other forces: weight, servos, joint limits.
     off = mujoco.mjtDisableBit
     model.opt.disableflags |= int(off.mjDSBL_GRAVITY) | int(off.mjDSBL_ACTUATION) | int(off.mjDSBL_CONSTRAINT)
     data = mujoco.MjData(model)
@@ -156,21 +156,21 @@ def test_what_errs_by_how_much(robot, task):
     assert [row for name, row in rows.items() if name.startswith("ground")] == [[0, 0]] * 2
 
 
-def test_shoves_come_when_they_should(robot):
-    """Two robots; the foot is down from steps 0 to 2, in the air to 5, down again from 6 on."""
+def test_pushes_come_when_they_should(robot):
+    """Robots are pushed after touchdowns: the foot is down in steps 0 to 2, in the air to 5, and down from 6 on."""
     standing = np.tile(robot.model.qpos0, (2, 1))
     simulation = SimpleNamespace(
         num_robots=2, task=SimpleNamespace(robot=robot), qpos=standing, qvel=np.zeros((2, robot.model.nv)), now=None
     )
-    shoved = Shoved(lambda state: state, simulation, [4.0, -2.0], [0, 3], settle=1.0, swing=3)
+    pushed = Pushed(lambda state: state, simulation, [4.0, -2.0], [0, 3], settle=1.0, swing=3)
     speeds = []
     for step in range(12):
         down = np.array([[not 3 <= step <= 5, True]] * 2)
         # The first touch, at step 0, comes before the metre at which it would count.
         simulation.now = SimpleNamespace(feet_down=down, position=np.full(2, 0.5 + 0.1 * step))
-        shoved(None)
+        pushed(None)
         speeds.append(simulation.qvel[:, robot.base.single["forward"].qvel].copy())
-    assert shoved.shoved_at.tolist() == [6, 9]
+    assert pushed.pushed_at.tolist() == [6, 9]
     speeds = np.array(speeds)
     assert (speeds[:6] == 0).all() and (speeds[6:, 0] > 0).all() and (speeds[:9, 1] == 0).all()
     # Once each, with the one twice as hard and the other way.
@@ -179,8 +179,8 @@ def test_shoves_come_when_they_should(robot):
 
 def test_a_bounce_is_no_touchdown(robot):
     simulation = SimpleNamespace(num_robots=1, task=SimpleNamespace(robot=robot), now=None)
-    shoved = Shoved(lambda state: state, simulation, [4.0], [0], settle=0.0, swing=3)
+    pushed = Pushed(lambda state: state, simulation, [4.0], [0], settle=0.0, swing=3)
     for down in (True, False, False, True, True):
         simulation.now = SimpleNamespace(feet_down=np.array([[down, True]]), position=np.ones(1))
-        shoved(None)
-    assert shoved.shoved_at.tolist() == [-1]
+        pushed(None)
+    assert pushed.pushed_at.tolist() == [-1]

@@ -1,4 +1,4 @@
-"""What is recorded while policies are judged, against MuJoCo's own numbers and a ruler."""
+"""Motion that is recorded during evaluation equals MuJoCo's own numbers and distances."""
 
 import csv
 import json
@@ -19,7 +19,7 @@ from gctd3.evaluation.recorder import Motion, Recorder, Servos, soles, total_mas
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize
 from gctd3.robots.robot import Robot
-from gctd3.runs.judge import table, trace
+from gctd3.runs.evaluate import table, trace
 
 DT = 0.02
 
@@ -43,7 +43,7 @@ def test_servo_forces_are_mujocos(any_robot):
         found = servos.force(np.array(data.qpos), np.array(data.qvel), np.array(data.ctrl))
         assert found == pytest.approx(np.array(data.actuator_force))
         clipped += (np.abs(found) == 30.0).sum()
-    assert clipped > 50  # both kinds are seen
+    assert clipped > 50  # both cases occur
 
 
 FILTERED = """
@@ -68,7 +68,7 @@ def test_servos_with_a_gear_and_a_filter():
 
 
 def test_work_lifts_the_robot(task):
-    """No ground, no gravity, no damping: what the servos do is what the robot moves with."""
+    """Without ground, gravity and damping, the servos' work equals the change of the robot's kinetic energy."""
     xml = task.robot.path.read_text().replace('damping="4.2857"', "").replace("gravity=", 'viscosity="0" gravity=')
     xml = xml.replace("0 0 -9.81", "0 0 0").replace('range="-1.3962 0.0012"/>', 'range="-9 9"/>', 1)
     robot = Robot.from_mjcf(mujoco.MjSpec.from_string(xml))
@@ -114,7 +114,7 @@ def test_soles_by_a_ruler(robot):
 
 
 def test_a_foot_that_rolls_over_its_toe_does_not_slip(robot):
-    """Heel up by a turn about the sole's front edge, which stays where it is."""
+    """A turn about the sole's front edge, which stays in place, gives no slip."""
     model, data = robot.model, mujoco.MjData(robot.model)
     ankle, foot = robot.joint("ankle_right"), model.body("foot_right").id
     qpos = np.repeat(robot.standing_qpos[None], 3, axis=0)
@@ -140,7 +140,7 @@ def test_size_and_mass_of_the_biped(robot):
 
 
 def made_up(robot, period=30, duty=0.6, lag=15, steps=700, speed=1.0, left_extra=0.0):
-    """An episode at constant speed: joints swing as sines, half a stride apart, feet touch down with the stride."""
+    """Make an episode at constant speed: joints swing as sines, half a stride apart, and feet step with them."""
     time = np.arange(steps)
     phase = time / period
     other = phase - lag / period
@@ -189,7 +189,7 @@ def test_the_metrics_of_a_made_up_walk(robot):
     assert found["action_jerk"] == pytest.approx(0.5 / math.sqrt(2) * (step / DT) ** 3, rel=0.01)
 
 
-def test_four_legs_are_judged_in_pairs():
+def test_four_legs_are_measured_in_pairs():
     quadruped = Robot.from_mjcf("quadruped")
     found = summarize([made_up(quadruped)], quadruped, DT)
     assert found["strides"] == 2 * (16 + 15)
@@ -252,7 +252,7 @@ def test_only_periodic_episodes_count(robot):
 
 
 def swing(state):
-    """Open-loop steps: right and left half a period apart."""
+    """Return open-loop steps, right and left half a period apart."""
     now = state[:, 0, 0] * 0 + 1
     return torch.stack([now * 0.2] * 6, dim=-1)
 

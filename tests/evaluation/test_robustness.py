@@ -1,4 +1,4 @@
-"""What is tried and what comes of it: by hand, on robots that step in place, and by the command."""
+"""Robustness results by hand, on robots that step in place, and from the command."""
 
 import json
 import math
@@ -24,12 +24,12 @@ def test_the_largest_impulse_by_hand():
 
 
 def test_the_weakest_moment_by_hand():
-    results = {"shoves": {"largest": {"forward": [8.0, 2.0, 4.0], "backward": [8.0, None, 4.0]}}}
+    results = {"pushes": {"largest": {"forward": [8.0, 2.0, 4.0], "backward": [8.0, None, 4.0]}}}
     assert weakest(results, "forward") == 2.0
-    assert math.isnan(weakest({"shoves": None}, "forward"))
+    assert math.isnan(weakest({"pushes": None}, "forward"))
     # Nobody was pushed at one phase, so nothing is known of the weakest, wherever it stands.
     for values in ([None, 5.0], [5.0, None]):
-        assert math.isnan(weakest({"shoves": {"largest": {"forward": values}}}, "forward"))
+        assert math.isnan(weakest({"pushes": {"largest": {"forward": values}}}, "forward"))
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_wrong_perturbations_are_named(change, said):
 
 
 class Stepping:
-    """Lifts one bent leg after the other, twice a second, by the clock: no walk, but touchdowns to count from."""
+    """Lift one bent leg after the other, twice a second, by the clock: no walk, but with touchdowns."""
 
     def __init__(self, dt):
         self.dt, self.step = dt, 0
@@ -72,12 +72,12 @@ def examination(robot):
     return Examination(Stepping(task.control_dt), task, EnvSettings(num_envs=2, threads=1), 3, FEW)
 
 
-def test_a_hard_shove_ends_what_a_soft_one_does_not(examination):
-    found = examination.shoves(0.5)
+def test_a_hard_push_ends_what_a_soft_one_does_not(examination):
+    found = examination.pushes(0.5)
     assert set(found["survived"]) == set(DIRECTIONS)
     rates = np.array([found["survived"][direction] for direction in DIRECTIONS], dtype=float)
     assert rates.shape == (2, 2, 2)
-    assert found["never_shoved"] < 24
+    assert found["never_pushed"] < 24
     assert (rates[..., 0] == 1.0).any() and (rates[..., 1] < 1.0).any()
     assert np.nanmax(rates[..., 0] - rates[..., 1]) > 0
     for direction in DIRECTIONS:
@@ -106,24 +106,24 @@ def test_the_command_tries_everything(run, capsys):
     assert found["perturbations"]["impulses"] == [1.0, 5.0] and found["mass_kg"] == pytest.approx(
         4.02 + 2 * (1.7324 + 0.7527 + 0.4111)
     )
-    if found["shoves"] is None:
+    if found["pushes"] is None:
         assert "no strides, so there are no phases" in out
     assert str(run / "robustness.json") in out
 
 
 def test_tables_say_what_is_known(examination):
     results = {**examination.results(None)}
-    assert "no phases at which to shove" in table(results)
-    results["shoves"] = {
+    assert "no phases at which to push" in table(results)
+    results["pushes"] = {
         "stride_time_s": 0.5,
-        "never_shoved": 3,
+        "never_pushed": 3,
         "survived": {},
         "largest": {"forward": [0.5, 300.0], "backward": [0.0, None]},
     }
     text = table(results)
     assert "forward                     0.5  ≥ 300" in text and "backward                      0      -" in text
     assert "forward, at the worst moment: 0.5 N s, 0.05 m/s of its mass" in text
-    assert "3 robots fell before they could be shoved" in text and "mass +20 %" in text
+    assert "3 robots fell before they could be pushed" in text and "mass +20 %" in text
 
 
 def test_wrong_calls_are_answered(run, capsys):

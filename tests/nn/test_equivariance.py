@@ -1,4 +1,4 @@
-"""Left and right: equivariant networks act in the mirror as the mirror image of what they do."""
+"""Equivariant networks map the mirror image of a state to the mirror image of their actions."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,7 @@ from gctd3.tasks.reflection import Reflection, SignedPermutation
 
 @pytest.fixture(scope="module", params=["equal axes", "opposite axes"])
 def either(request, robot, tmp_path_factory):
-    """The biped, and the biped whose mirrored joints turn the other way round."""
+    """Return the biped, or the biped whose mirrored joints turn the other way round."""
     return robot if request.param == "equal axes" else opposite_axes(robot, tmp_path_factory.mktemp("robot"))
 
 
@@ -105,7 +105,7 @@ def test_an_equivariant_network_needs_a_reflection(robot, graph):
 
 
 def reflected_state(robot, qpos, qvel):
-    """The state of a robot with a free base and hinges seen in a mirror that stands on the xz plane."""
+    """Reflect the state of a robot with a free base and hinges in the xz plane."""
     qpos, qvel, q, v = qpos.copy(), qvel.copy(), qpos, qvel
     # The place's y; the turn about x and about z, which is all but the w and y of the quaternion; rates likewise.
     qpos[[1, 4, 6]] *= -1

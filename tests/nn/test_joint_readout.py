@@ -1,4 +1,4 @@
-"""One head for all joints: weights that fit every robot, whatever the order of its nodes."""
+"""The readout that all joints share: its weights fit every robot, whatever the order of its nodes."""
 
 from dataclasses import replace
 
@@ -16,14 +16,14 @@ FOUR_LEGS = [f"{part}_{leg}" for leg in "abcd" for part in ("hip", "knee")]
 
 
 def four_legs():
-    """Ten nodes, eight actions."""
+    """Make a graph of ten nodes with eight actions."""
     edges = [("body", f"hip_{leg}") for leg in "abcd"] + [(f"hip_{leg}", f"knee_{leg}") for leg in "abcd"]
     edges += [(f"knee_{leg}", "ground") for leg in "abcd"]
     return KinematicGraph.from_edges(["body", *FOUR_LEGS, "ground"], edges, actuated=FOUR_LEGS)
 
 
 def permuted(graph, order):
-    """The same graph with its nodes in another order."""
+    """Return the same graph with its nodes in another order."""
     place = {node: i for i, node in enumerate(order)}
     return KinematicGraph(
         tuple(graph.nodes[i] for i in order),

@@ -1,5 +1,5 @@
-"""What can be chosen of the graph network: each option against hand arithmetic, a second implementation or a property,
-all of them as stacks of critics, under TorchRL's own loss, and in a training."""
+"""Options of the graph network: each equals hand arithmetic or a second implementation or has a property, and all work
+as stacks of critics, under TorchRL's own loss, and in a training."""
 
 import copy
 import itertools

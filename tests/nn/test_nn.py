@@ -193,7 +193,7 @@ def test_scale_of_a_stochastic_actor(graph, scale):
     torch.nn.init.zeros_(last.weight)
 
     def scales(*values):
-        """Of actions whose unbounded numbers are ``values``."""
+        """Return the scales of actions whose unbounded numbers are ``values``."""
         with torch.no_grad():
             last.bias[6:] = torch.tensor(values)
         return actor(TensorDict({"nodes": torch.randn(1, 8, 10)}, [1]))["scale"][0].tolist()
@@ -227,7 +227,7 @@ def test_bad_sizes(sizes):
 
 
 def randomised(module: nn.Module) -> nn.Module:
-    """Biases and norms away from their zeros and ones, where a mistake with them would not show."""
+    """Move biases and norms away from their zeros and ones, where a mistake with them would not show."""
     with torch.no_grad():
         for parameter in module.parameters():
             parameter.add_(0.3 * torch.randn_like(parameter))

@@ -1,4 +1,4 @@
-"""What counts as a network that takes stacked parameters, and that those that say so do."""
+"""Networks are recognised as stackable only if declared, and declared ones do take stacked parameters."""
 
 import copy
 

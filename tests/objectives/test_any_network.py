@@ -1,4 +1,4 @@
-"""TD3Loss and SACLoss on networks and batches of every kind, against TorchRL's: the same losses and gradients."""
+"""TD3Loss and SACLoss give TorchRL's losses and gradients on networks and batches of every kind."""
 
 import copy
 import warnings
@@ -84,7 +84,7 @@ def test_sac_with_a_value_network(kind):
 @pytest.mark.parametrize("reverse", [False, True], ids=["ours first", "theirs first"])
 @each_loss
 def test_one_critic_of_ours_and_one_that_is_not(name, actor, reverse):
-    """Their parameters fit one another; a declared class beside one that only looks like it is no stack."""
+    """A declared critic and an undeclared one with parameters of equal shapes do not run as a stack."""
 
     class Undeclared(Quadratic):
         pass
@@ -97,7 +97,7 @@ def test_one_critic_of_ours_and_one_that_is_not(name, actor, reverse):
 
 @each_loss
 def test_keywords_instead_of_a_tensordict(name, actor):
-    """As the docstrings' second examples call the losses."""
+    """Losses can be called as in the second examples of TorchRL's docstrings."""
     flat = {"_".join(key) if isinstance(key, tuple) else key: v for key, v in data((2,)).items(True, True)}
     found = []
     for loss in pair(name, actor(), CRITICS["docstring"]()):
@@ -155,7 +155,7 @@ def test_a_critic_that_reads_what_the_actor_writes():
 
 
 def test_what_stays_the_same_may_stand_beside_next_only():
-    """TorchRL takes it for the next state, too."""
+    """A key that does not change may stand beside ``"next"`` only; it serves the next state too."""
     batch = data((4, 8))
     del batch["next", "observation"]
     for kind in ("docstring", "declared"):
@@ -209,7 +209,7 @@ def test_a_loss_that_is_moved_copied_or_told_of_randomness_goes_on(name, actor, 
 @pytest.mark.parametrize("kind", [ValueClass, Quadratic])
 @each_loss
 def test_one_critic_twice_is_trained_once(name, actor, kind):
-    """TorchRL expands its parameters; the gradient is that of both together."""
+    """One critic passed twice gets the sum of both gradients, as with TorchRL's expanded parameters."""
     found = []
     for library in (ours, torchrl):
         torch.manual_seed(0)

@@ -1,4 +1,4 @@
-"""The batched SAC loss against TorchRL's, which runs its critics through vmap."""
+"""The batched SAC loss equals TorchRL's, which runs its critics through vmap."""
 
 import copy
 

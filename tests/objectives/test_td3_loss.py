@@ -1,4 +1,4 @@
-"""TD3's loss: the same numbers and gradients as TorchRL's, and its target by hand."""
+"""TD3's loss has TorchRL's values and gradients, and its target equals hand arithmetic."""
 
 import numpy as np
 import pytest
@@ -123,7 +123,7 @@ def by_hand(**settings):
 
 
 def transitions(**extra):
-    """An ordinary transition, one that terminates, one that is truncated."""
+    """Return an ordinary transition, one that terminates and one that is truncated."""
 
     def column(*values):
         return torch.tensor(values).reshape(3, 1)

@@ -1,4 +1,4 @@
-"""gctd3.compat: every private name is there and means what it says, and once it is gone an error names it."""
+"""gctd3.compat: every private name exists and works as expected, and a missing one raises an error that names it."""
 
 import queue
 

@@ -1,4 +1,4 @@
-"""What the documentation shows runs, and what it links to is there."""
+"""The documentation's commands run, and its links lead somewhere."""
 
 import doctest
 import importlib
@@ -14,8 +14,10 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 import torch
+import yaml
 from array_api_compat import array_namespace
 from fuzzing import answered
+from omegaconf import OmegaConf
 from robots import TWO_LEGS
 from running import TINY, command, train
 
@@ -42,7 +44,7 @@ def test_readme_python_runs(exported, monkeypatch):
     assert list(names["command"]) == list(names["policy"].command) and len(names["command"]) == 6
 
 
-@pytest.mark.parametrize("backend", ["batched", "dm_control"])
+@pytest.mark.parametrize("backend", ["batched", pytest.param("dm_control", marks=pytest.mark.nightly)])
 def test_readmes_reward_term_is_trained_with(backend, tmp_path, monkeypatch):
     text = next(text for language, text in BLOCKS if language == "python" and "class Hurry" in text)
     # Another test may have imported another module of this name.
@@ -116,7 +118,7 @@ INSTALL = {'pip install -e ".[test]"', "pip install -e .", "pytest"}
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A folder with a run that was stopped, a sweep, an MJCF of another robot than any that ships, and its YAML."""
+    """Make a folder with a stopped run, a sweep, an MJCF of a robot that does not ship, and its YAML."""
     root = tmp_path_factory.mktemp("readme")
     run = train(root / RUN, "total_frames=160")
     for seed in range(2):
@@ -139,6 +141,7 @@ def test_every_line_of_readme_is_accounted_for():
     known += [rf"pip install 'gctd3\[({'|'.join(EXTRAS)})\]'"]
     strange = [part for part in PARTS if part not in INSTALL and not any(re.fullmatch(k, part) for k in known)]
     assert not strange and len(PARTS) >= 15
+    assert {parsed(line)[0] for line in quick()} <= {*QUICK} and len(quick()) >= 3 and OTHERS
     written = (ROOT / ".ci/run").read_text(encoding="utf-8")
     assert 'pip install -q -e ".[test]"' in written and "\npytest\n" in written
     assert "\npytest -m nightly " in (ROOT / ".ci/nightly").read_text(encoding="utf-8")
@@ -148,14 +151,14 @@ LINES = [part for part in PARTS if part.startswith("python")]
 
 
 def parsed(line):
-    """A command line's command and arguments, the long ones shortened."""
+    """Split a command line into command and arguments, and shorten long trainings."""
     words = [part for word in shlex.split(line) for part in INSTEAD.get(word, word).split(" ")]
     called = 2 if words[1] == "-m" else 1
     return words[called].removeprefix("gctd3").lstrip("."), words[called + 1 :]
 
 
 def small(name, arguments):
-    """What is added to a command line, so that it takes seconds."""
+    """Return arguments that shorten a command line to seconds."""
     if any(word.startswith("resume=") for word in arguments):
         return []
     # Two trainings in one second would have one directory.
@@ -163,19 +166,38 @@ def small(name, arguments):
     return [*SMALL.get(name, []), *directory]
 
 
+# Those whose line takes long have quick tests in rooms of their own.
+QUICK = ("", "train", "evaluate", "graph")
+
+
 def quick():
-    """The first line of each command, and the first training that is no sweep."""
+    """Return the first line of each quick command that is not a sweep."""
     found = {}
     for line in LINES:
         name, arguments = parsed(line)
-        if not name.endswith(".py") and "-m" not in arguments:
+        if name in QUICK and "-m" not in arguments:
             found.setdefault(name, line)
     return list(found.values())
 
 
 @pytest.mark.parametrize("line", quick())
-def test_a_line_of_each_command_of_readme_runs(line, place, monkeypatch, capfd):
+def test_a_line_of_each_quick_command_of_readme_runs(line, place, monkeypatch, capfd):
     run_line(line, place, monkeypatch)
+
+
+OTHERS = [line for line in LINES if parsed(line)[0] in COMMANDS and parsed(line)[0] != "train" and line not in quick()]
+
+
+@pytest.mark.parametrize("line", OTHERS)
+def test_the_settings_of_a_line_of_readme_are_known(line, place, monkeypatch, capsys):
+    """What they do is seen every night."""
+    monkeypatch.chdir(place)
+    name, arguments = parsed(line)
+    assert command(name, *arguments, "--cfg", "job") == 0
+    shown = OmegaConf.create(capsys.readouterr().out)
+    for argument in arguments:
+        key, _, value = argument.partition("=")
+        assert OmegaConf.select(shown, key.lstrip("+")) == yaml.safe_load(value), argument
 
 
 @pytest.mark.nightly

@@ -17,7 +17,7 @@ VERBS = set(
     Deliver Describe Detect Disable Divide Draw Drive Drop Enable Encode End Ensure Enter Estimate Evaluate
     Exchange Exclude Export Extract Fill Filter Find Finish Follow Forget Format Freeze Gather Generate Get
     Give Go Group Guard Handle Have Hide Hold Identify Ignore Implement Import Index Initialise Insert Install
-    Interpolate Iterate Join Judge Keep Label Leave Let Limit List Listen Load Locate Lock Log Look Make Map
+    Interpolate Iterate Join Keep Label Leave Let Limit List Listen Load Locate Lock Log Look Make Map
     Mark Match Measure Merge Minimise Mirror Move Name Note Number Observe Open Order Pair Parse Pass Pause
     Pay Penalise Permute Place Plot Predict Prepare Print Process Project Provide Publish Push Put Raise
     Randomise Rank React Read Reconstruct Record Reduce Reflect Refuse Register Release Remember Remove Rename
@@ -30,7 +30,7 @@ VERBS = set(
 
 
 def wrong(tree, inside=""):
-    """Line, name and first words of each public docstring that begins with something else."""
+    """Yield line, name and first words of each public docstring that does not begin with a verb."""
     for node in ast.iter_child_nodes(tree):
         if not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
             if isinstance(node, (ast.If, ast.Try, ast.With)):

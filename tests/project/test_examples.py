@@ -1,4 +1,4 @@
-"""The examples run, say what they are, and use no more of the library than they claim."""
+"""The examples run, print what they promise, and use no more of the library than they claim."""
 
 import ast
 import importlib
@@ -64,11 +64,12 @@ def test_sac():
     assert returns and all(map(math.isfinite, returns))
 
 
+@pytest.mark.nightly
 def test_transfer(tmp_path, monkeypatch):
     begun = []
 
     class Watched(Collector):
-        """Keeps the weights with which a training begins, and how long it acts without them."""
+        """Record the weights with which a training begins, and how long it acts without them."""
 
         def __init__(self, env, policy, *, init_random_frames, **settings):
             weights = {name: value.clone() for name, value in policy.state_dict().items()}

@@ -1,4 +1,4 @@
-"""The extension examples: each is a stranger's package of one file and one YAML, trained, judged and resumed."""
+"""Each extension example is a separate package of one file and one YAML; it trains, is evaluated and resumes."""
 
 import re
 import shlex
@@ -12,7 +12,7 @@ FOLDERS = sorted(path.name for path in EXTENDING.iterdir() if path.is_dir())
 
 
 def said(folder):
-    """The command that an example's file shows, as words."""
+    """Return the words of the command that an example's file shows."""
     (file,) = (EXTENDING / folder).glob("*.py")
     shown = re.search(r"PYTHONPATH=(\S+) (python .*?)\n(?:\n|\"\"\")", file.read_text(encoding="utf-8"), re.DOTALL)
     return shown[1], shlex.split(shown[2].replace("\\\n", " "))
@@ -20,17 +20,18 @@ def said(folder):
 
 @pytest.fixture(params=FOLDERS)
 def trained(request, tmp_path, monkeypatch):
-    """A tiny run made with the command that an example shows."""
+    """Train a tiny run with the command that an example shows."""
     path, arguments = said(request.param)
     monkeypatch.chdir(EXTENDING.parents[1])
     monkeypatch.syspath_prepend(path)
-    tiny = [f"{key}={value}" for key, value in TINY.items() if key not in without(request.param)]
+    few = {**TINY, "total_frames": 120, "exploration.learning_starts": 40, "evaluation.every": 60}
+    tiny = [f"{key}={value}" for key, value in few.items() if key not in without(request.param)]
     assert command("train", *arguments[3:], *tiny, f"hydra.run.dir={tmp_path / 'run'}") == 0
     return tmp_path / "run"
 
 
 def without(folder):
-    """Settings of tiny trainings that an example has no use for."""
+    """Return the settings of tiny trainings that an example does not use."""
     return ("network.hidden",) if folder == "network" else ()
 
 
@@ -43,10 +44,10 @@ def test_every_example_is_one_file_and_one_yaml():
 
 # Plain layers cannot run as a stack, and a line says that this is slower.
 @pytest.mark.filterwarnings("ignore::gctd3.errors.PerformanceWarning")
-def test_it_trains_and_is_judged_and_resumed(trained):
+def test_it_trains_and_is_evaluated_and_resumed(trained):
     run = trained
     assert len(rows(run)) >= 2
     # What is imported already is trusted.
-    assert command("evaluate", f"run={run}", "episodes=2", "threads=1") == 0
-    assert command("train", f"resume={run}", "total_frames=320") == 0
-    assert int(rows(run)[-1]["frames"]) == 320
+    assert command("evaluate", f"run={run}", "episodes=1", "threads=1") == 0
+    assert command("train", f"resume={run}", "total_frames=160") == 0
+    assert int(rows(run)[-1]["frames"]) == 160

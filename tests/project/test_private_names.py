@@ -22,7 +22,7 @@ def private(name):
 
 
 def defined(tree):
-    """Private names that a file gives to something of its own: functions, classes, attributes of ``self``, fields."""
+    """Yield private names that a file defines: functions, classes, attributes of ``self``, fields."""
     for node in ast.walk(tree):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
             yield node.name
@@ -37,7 +37,7 @@ def own(node):
 
 
 def foreign(tree, package):
-    """Private names of others that a file uses; ``package``: those that any file of the package defines."""
+    """Return private names of others that a file uses; ``package``: names that any file of the package defines."""
     here = set(defined(tree))
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute):
@@ -139,7 +139,7 @@ def classes():
 
 
 def test_no_class_takes_a_private_name_of_its_base():
-    """A method or attribute of the same name would take the place of the other library's, knowingly or not."""
+    """No class overrides a private method or attribute of a library's class that it extends."""
     taken = []
     for kind in classes():
         tree = ast.parse(inspect.getsource(inspect.getmodule(kind)))

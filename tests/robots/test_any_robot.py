@@ -1,4 +1,4 @@
-"""The graph of robots that others made: what their files say by eye, and what must hold for every robot."""
+"""The graph of other people's robots: expected nodes read from their files, and properties of every robot's graph."""
 
 import sys
 import warnings
@@ -57,7 +57,7 @@ def test_nodes(case):
 
 
 def test_edges_are_the_models_tree(case):
-    """Against the compiled model: walk up from every joint's body to the next joint."""
+    """Edges equal the compiled model's tree, found by walking up from every joint's body to the next joint."""
     robot, graph, joints, base, feet, _ = case
     model, edges = robot.model, {frozenset(edge) for edge in graph.edges}
     for i in range(model.njnt):
@@ -93,7 +93,7 @@ def test_mirror_is_an_involution_that_keeps_the_graph(case):
 
 
 def test_mirrored_pose_is_the_reflected_pose(case):
-    """Joint angles exchanged and signed as the mirror says put every joint at its partner's reflected place."""
+    """With angles exchanged and signed by the mirror, every joint lies at its partner's reflected place."""
     robot, _, *_, pairs = case
     if robot.path.name == "dog.xml" or not pairs:
         pytest.skip("the dog's bones are only nearly symmetric; without pairs there is nothing to exchange")
@@ -150,7 +150,7 @@ def test_table_and_short_form(graph):
     assert repr(graph) == f"KinematicGraph(8 nodes, 8 edges: {', '.join(graph.nodes)})"
 
 
-# What is found where nobody says.
+# Detected feet, forward axes and mirror pairs.
 
 CROSS = """
 <mujoco>

@@ -1,4 +1,4 @@
-"""The paper's two graphs and its equations 1 to 7, by hand; the presets; the mirror."""
+"""The paper's two graphs and its equations 1 to 7 by hand, the presets, and the mirror."""
 
 import numpy as np
 import pytest
@@ -217,7 +217,7 @@ def test_mirror_swaps_right_and_left(robot, preset):
     graph = KinematicGraph.from_robot(robot, preset)
     mirror = list(graph.mirror)
     assert mirror == [0, 2, 1, 4, 3, 6, 5, 7]
-    if preset != "random":  # its edges know no sides
+    if preset != "random":  # random edges are not symmetric
         np.testing.assert_array_equal(graph.adjacency[np.ix_(mirror, mirror)], graph.adjacency)
 
 

@@ -1,4 +1,4 @@
-"""Which joint is which on the other side, and robots of which no reflection is true."""
+"""Joints are paired with their mirror images, and robots without a valid reflection are refused."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ CMU = Path(dm_control.suite.__file__).parent / "humanoid_CMU.xml"
 
 
 def crooked(text):
-    """Two legs of no particular side, one of which stands farther forward and out."""
+    """Make two legs without sides, one of which stands farther forward and out."""
     return text.replace("_r", "_a").replace("_l", "_b").replace('pos="0 0.1 0"', 'pos="0.2 0.3 0"')
 
 
@@ -29,7 +29,7 @@ def crooked(text):
         ("hip_right", "hip_left"),
         ("L_knee", "R_knee"),
         ("thigh", "thigh_left"),
-        ("lfemurrx", "rfemurrx"),  # the last r is no side
+        ("lfemurrx", "rfemurrx"),  # the last r is not a side
         ("RHipYaw", "LHipYaw"),
         ("FL_foot", "FR_foot"),
         ("front_rl_calf", "front_rr_calf"),

@@ -1,4 +1,4 @@
-"""A robot whose left and right axes point opposite ways is judged by its motion, not by the signs of its angles."""
+"""A gait is measured by motion, not by the signs of angles, where left and right axes point opposite ways."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ def opposite(robot, tmp_path_factory):
 
 # Right hip 0.3 rad forward, left hip 0.3 rad back: on the biped as it is, and with the left axis turned round.
 @pytest.mark.parametrize(("left", "turned"), [(-0.3, False), (0.3, True)])
-def test_antiphase_punishes_legs_together_not_legs_apart(robot, opposite, left, turned):
+def test_antiphase_penalises_legs_together_not_legs_apart(robot, opposite, left, turned):
     task = walking(opposite if turned else robot, reward(antiphase=0.5))
     ground = task.measure(np.zeros(8), np.zeros(8), np.zeros(7))
     angles = np.zeros(6)

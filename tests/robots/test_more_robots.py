@@ -1,4 +1,4 @@
-"""Robots beside the paper's: they stand, they are sensed and mirrored right whatever their base, and they train."""
+"""Robots beside the paper's stand, are sensed and mirrored correctly on any base, and train."""
 
 import mujoco
 import numpy as np
@@ -67,7 +67,7 @@ def test_stands_still(other):
 
 @pytest.mark.parametrize("pose", [(0, 0.6, 0), (0.3, -0.5, 0.2), (-0.3, 0.2, 0.3), (0, 0, 0.5)])
 def test_held_servos_lose_energy(other, pose):
-    """However it falls, it comes to rest: contacts that injected energy would keep it hopping."""
+    """A robot with held servos comes to rest however it falls; contacts that add energy would keep it hopping."""
     model, data = other.model, mujoco.MjData(other.model)
     low, high = other.action_range.T
     data.ctrl[:] = (low + high) / 2 + (high - low) / 2 * np.tile(pose, len(other.feet))

@@ -1,4 +1,4 @@
-"""The biped's numbers against the published ones, its behaviour under the servos, and what `Robot` reads of it."""
+"""The biped has the published numbers, comes to rest under its servos, and is read correctly by `Robot`."""
 
 import mujoco
 import numpy as np
@@ -121,7 +121,7 @@ def test_stands_still_for_5_s(robot):
 
 @pytest.mark.parametrize("pose", [(0, 0.6, 0), (0.3, -0.5, 0.2), (-0.3, 0.2, 0.3), (0, 0, 0.5)])
 def test_held_servos_come_to_rest(robot, pose):
-    """A passive system loses energy: contacts that injected some would keep the robot hopping."""
+    """A robot with held servos loses energy and comes to rest; contacts that add energy would keep it hopping."""
     model, data = robot.model, mujoco.MjData(robot.model)
     low, high = robot.action_range.T
     data.ctrl[:] = (low + high) / 2 + (high - low) / 2 * np.tile(pose, 2)
@@ -204,7 +204,7 @@ def test_mirrored_actions_make_the_mirrored_walk(robot):
     np.testing.assert_allclose(data.qpos[:2], mirrored.qpos[:2], atol=1e-5)
 
 
-# What `Robot` reads.
+# Properties that `Robot` reads.
 
 
 def test_reads_base_legs_feet_and_sensors(robot):

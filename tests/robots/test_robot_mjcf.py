@@ -1,4 +1,4 @@
-"""What `Robot` makes of hand-written MJCFs, and how it refuses those that it cannot use."""
+"""`Robot` reads hand-written MJCFs, and refuses those that it cannot use."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Where robots stand and start: shipped ones in their reference pose, others as their MJCF says or on the ground."""
+"""Shipped robots stand and start in their reference pose, others as their MJCF says or on the ground."""
 
 import mujoco
 import numpy as np
@@ -24,7 +24,7 @@ def key(text, name, *qpos):
 
 
 def starts(robot):
-    """``qpos`` at the start of an episode without noise, on both backends."""
+    """Return ``qpos`` at the start of an episode without noise, on both backends."""
     task = walking(robot, **STILL)
     simulation, env = Simulation(task, 2, threads=1), load(task)
     simulation.reset(np.ones(2, dtype=bool))
@@ -40,7 +40,7 @@ def test_shipped_robots_drop_from_their_reference_pose(name):
     np.testing.assert_array_equal(robot.standing_qpos, model.key("stand").qpos)
     for start in starts(robot):
         np.testing.assert_array_equal(start, model.qpos0)
-    # To the last bit: what MuJoCo makes of the same random numbers by itself.
+    # To the last bit: MuJoCo's own result from the same random numbers.
     simulation, rng = Simulation(walking(robot), 1, seed=7, threads=1), np.random.default_rng(7)
     simulation.reset(np.ones(1, dtype=bool))
     data.time = BEGINNING

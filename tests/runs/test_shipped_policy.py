@@ -1,4 +1,4 @@
-"""The policy in the package: whole, small, a walk, and what commands use that are given no run."""
+"""The policy in the package is complete, small and walks, and commands without a run use it."""
 
 import importlib
 import json
@@ -105,7 +105,7 @@ def ship(module, monkeypatch, *arguments):
     module.main()
 
 
-def test_shipping_judges_and_copies(shipping, tmp_path, monkeypatch):
+def test_shipping_evaluates_and_copies(shipping, tmp_path, monkeypatch):
     run, to = tmp_path / "run", tmp_path / "biped" / "policy"
     shutil.copytree(find_run(None), run)
     (run / "progress.csv").write_text("of the training\n")

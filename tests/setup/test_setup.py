@@ -1,4 +1,4 @@
-"""What a training derives from its settings is derived once: the robot is compiled once, its graph built once."""
+"""A training compiles its robot once, and builds its graph once."""
 
 import mujoco
 import pytest
@@ -12,7 +12,7 @@ FROM_ROBOT = KinematicGraph.from_robot.__func__
 
 @pytest.fixture
 def seen(monkeypatch):
-    """What was read and compiled, and over which robots graphs were built, in order."""
+    """Record which files are read and compiled, and over which robots graphs are built, in order."""
     found = []
 
     def find(settings):
@@ -47,12 +47,12 @@ def test_the_robot_is_compiled_once_and_its_graph_built_once(tmp_path, seen, bac
     asked = tiny(tmp_path / "run", f"env.backend={backend}", "network=equivariant")
     assert command("train", *asked, trainer=Watched) == 0
     assert before_the_first_step == ["read biped", "compile", "graph"]
-    # Nor is it read again while it is trained and judged.
+    # The robot is not read again while it is trained and evaluated.
     assert seen == before_the_first_step
 
 
-def test_a_run_is_read_once(tmp_path, seen):
-    assert command("train", *tiny(tmp_path / "run")) == 0
+def test_a_run_is_read_once(finished, tmp_path, seen):
+    run = finished.copy("gctd3", tmp_path / "run")
     seen.clear()
-    assert command("evaluate", f"run={tmp_path / 'run'}", "episodes=1", "threads=1") == 0
+    assert command("evaluate", f"run={run}", "episodes=1", "threads=1") == 0
     assert seen == ["read biped", "compile", "graph"]

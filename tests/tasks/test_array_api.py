@@ -18,12 +18,12 @@ from gctd3.tasks.terms import RewardTerm, Step, Termination
 
 
 def of(module, kind):
-    """Every term of a kind that a module defines."""
+    """Return every term of a kind that a module defines."""
     found = [item for _, item in inspect.getmembers(module, inspect.isclass) if item.__module__ == module.__name__]
     return [item for item in found if issubclass(item, kind)]
 
 
-# As they are, but so that they happen within a few steps.
+# The shipped terms, with limits that are reached within a few steps.
 SOONER = {"LongContact": {"steps": 2}, "StuckHip": {"steps": 3}, "TimeLimit": {"steps": 8}, "SwingTime": {"most": 0.02}}
 SOONER["SwingTime"]["least"] = 0.02
 REWARDS = {
@@ -32,7 +32,7 @@ REWARDS = {
     for kind in of(module, RewardTerm)
 }
 ENDS = {kind.__name__: kind(**SOONER.get(kind.__name__, {})) for kind in of(terminations, Termination)}
-# And those of one's own that the tests have, written as one's own are.
+# The custom terms of the tests, written like a user's.
 REWARDS["FollowSpeed"], ENDS["MissedSpeed"] = FollowSpeed(), MissedSpeed(steps=2)
 CONSTANT = {"Living"}
 
@@ -49,7 +49,7 @@ def facts(request):
 
 
 def measurements(facts, shape, steps=40):
-    """Random ones that cross every threshold now and then."""
+    """Draw random measurements that cross every threshold now and then."""
     rng = np.random.default_rng(0)
     return [
         Measurement(
@@ -70,7 +70,7 @@ def measurements(facts, shape, steps=40):
 
 
 def played(facts, seen, convert):
-    """What every step remembers, ends and pays, in the library that ``convert`` converts to."""
+    """Return the memory, terminations and rewards of every step, in the library that ``convert`` converts to."""
     rng, shape = np.random.default_rng(1), seen[0].position.shape
     rewards = {name: term for name, term in REWARDS.items() if term.applies(facts)}
     asked = {one.name: one for term in (*rewards.values(), *ENDS.values()) for one in term.remembers()}
@@ -107,11 +107,11 @@ def test_numpy_and_torch_agree(facts, shape):
                 tensor, where = there[part][name], f"{part} {name}"
                 assert isinstance(tensor, torch.Tensor), where
                 assert np.shape(value) == tuple(tensor.shape), where
-                # True and false and counts are no less: types are of one kind.
+                # Booleans and counts keep their kind of type.
                 assert np.asarray(value).dtype.kind == tensor.numpy().dtype.kind, where
                 np.testing.assert_allclose(tensor.numpy(), value, rtol=0, atol=1e-6, err_msg=where)
                 values.setdefault((part, name), []).append(np.asarray(value))
-    # Nothing was equal because nothing happened.
+    # The values are not equal merely because nothing happened.
     for (part, name), found in values.items():
         if part in ("ends", "pays") and name not in CONSTANT:
             assert np.stack(found).std() > 0, f"{part} {name}"
@@ -119,7 +119,7 @@ def test_numpy_and_torch_agree(facts, shape):
 
 
 def test_what_is_remembered_is_left_as_it_was(facts):
-    """Nothing changes in place: what a step began with is what the next one may still read."""
+    """No array of the memory changes in place: the next step may still read it."""
     seen = measurements(facts, (3,))
     for convert in (np.array, torch.tensor):
         memories = [step["memory"] for step in played(facts, seen, convert)]

@@ -1,4 +1,4 @@
-"""Commands: drawn for so long, each robot by its own clock, always alike from one seed."""
+"""Commands are redrawn after their time, by each robot's own clock, and alike from one seed."""
 
 from types import SimpleNamespace
 
@@ -48,7 +48,7 @@ def test_a_command_holds_for_its_time(every, steps):
 
 
 def test_by_hand():
-    """Two numbers, three robots, two steps each: what a generator of the same seed draws, in its order."""
+    """Commands of two numbers for three robots equal the draws of a generator with the same seed, in order."""
     memory = memory_of(place=UniformCommand(every=0.04, low=(-1.0, 2.0), high=(1.0, 3.0)))
     rng, same = np.random.default_rng(7), np.random.default_rng(7)
     state = memory.begin(now(3), rng)
@@ -62,7 +62,7 @@ def test_by_hand():
 
 
 def test_each_robot_has_its_own_clock():
-    """Robot 1 began anew later: its command is drawn when its time is over, and nobody else's with it."""
+    """Robot 1, which began anew later, gets its command when its own time is over, and no other robot does."""
     memory, rng = memory_of(speed=UniformCommand(every=0.06)), np.random.default_rng(0)
     state = memory.begin(now(3), rng)
     state = after(memory, state, rng)
@@ -84,7 +84,7 @@ def test_each_robot_has_its_own_clock():
 
 
 def test_what_others_get_does_not_depend_on_who_is_over():
-    """All are drawn whenever one is: the robots that are over get the rows of their own."""
+    """Rows for all robots are drawn whenever one is due, and each due robot gets its own row."""
     memory = memory_of(speed=UniformCommand(every=0.04))
     held = np.array([[0.1], [0.2], [0.3]])
     drawn = np.random.default_rng(3).uniform((0.0,), (1.0,), (3, 1))
@@ -94,7 +94,7 @@ def test_what_others_get_does_not_depend_on_who_is_over():
         over = np.array(left) == 1
         np.testing.assert_array_equal(state["command.speed"], np.where(over[:, None], drawn, held))
         assert state["command.speed.left"].tolist() == np.where(over, 2, np.array(left) - 1).tolist()
-    # Nobody is over: nothing is drawn, so that the generator stays where it is.
+    # No command is due: nothing is drawn, so that the generator's state stays.
     rng = np.random.default_rng(3)
     after(memory, {**before, "command.speed.left": np.array([2, 3, 4])}, rng)
     assert rng.bit_generator.state == np.random.default_rng(3).bit_generator.state

@@ -1,4 +1,4 @@
-"""The walking task on hand-made measurements: every expected number follows from the arithmetic beside it."""
+"""The walking task on hand-made measurements; every expected number follows from the arithmetic beside it."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from gctd3.tasks.terminations import Finish, LongContact, StuckHip, TimeLimit
 
 
 def alternating(steps, **constant):
-    """Measurements in which feet and hips change sides at every step, so that no counter ever grows beyond 1."""
+    """Make measurements in which feet and hips change sides at every step, so that no counter grows beyond 1."""
     for t in range(steps):
         side = 1.0 if t % 2 else -1.0
         varying = {"hips": (0.1 * side, -0.1 * side), "feet": (t % 2 == 0, t % 2 == 1)}
@@ -55,7 +55,7 @@ def test_windows_are_settings(robot):
 
 @pytest.mark.parametrize(
     ("now", "falls"),
-    # The last one is punished once, not twice.
+    # The last one is penalised once, not twice.
     [(sense(z=-0.1), 0), (sense(z=-0.1001), 1), (sense(other=True), 1), (sense(z=-0.2, other=True), 1)],
 )
 def test_fall(task, now, falls):

@@ -1,4 +1,4 @@
-"""The walking task on random measurements: many robots at once, and in the mirror."""
+"""The walking task on random measurements gives the same numbers for many robots at once, and in the mirror."""
 
 from dataclasses import fields, replace
 

@@ -1,4 +1,4 @@
-"""Sweeps put elsewhere by Hydra's launchers: what they are told is checked at once; whole sweeps are slow."""
+"""Sweeps with Hydra's launchers: their settings are checked at once; whole sweeps are slow."""
 
 import importlib.util
 import json
@@ -34,7 +34,7 @@ def test_without_its_package_a_launcher_says_what_to_install(tmp_path, capsys, m
 
 
 def test_runs_get_their_cpus_gpus_and_time():
-    """Each launcher can be told all three, and the run itself the last one."""
+    """Each launcher accepts CPUs, GPUs and a time limit, and the run itself the time limit."""
     with initialize_config_module("gctd3.conf", version_base="1.3"):
         seen = {
             name: OmegaConf.to_container(
@@ -91,7 +91,7 @@ def test_a_preempted_run_of_submitit_resumes_by_itself(tmp_path):
     while not list(first.glob("checkpoints/best-*")):
         assert time.monotonic() < deadline and running.poll() is None, "no checkpoint"
         time.sleep(0.1)
-    # What Slurm does before it takes a node away: USR2 to the job's process, which writes to this directory.
+    # Slurm's signal before it takes a node away: USR2 to the job's process, which writes to this directory.
     holder = subprocess.run(["fuser", str(first / ".lock")], capture_output=True, text=True).stdout.split()
     assert len(holder) == 1
     subprocess.run(["kill", f"-{signal.SIGUSR2.value}", holder[0]], check=True)

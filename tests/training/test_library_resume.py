@@ -1,4 +1,4 @@
-"""Tasks of other libraries go on as if nothing had happened: runs, and single robots across the end of an episode."""
+"""Tasks of other libraries resume exactly: runs, and single robots across the end of an episode."""
 
 import pytest
 import torch
@@ -17,7 +17,7 @@ FLAT = ["task.observation=flat", "algo=td3", "network.graph_layers=[]"]
 WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episodes", "total_frames"]
 
 
-# Walker2d falls within the frames of the test; an episode of dm_control's has 1,000 steps, so that is judged only once.
+# Walker2d falls within the frames of the test; dm_control's episodes have 1,000 steps, so it is evaluated only once.
 @pytest.mark.parametrize(
     "task, every",
     [
@@ -38,7 +38,7 @@ def test_stopped_and_resumed_equals_left_alone(tmp_path, task, every):
 
 
 def follow(env, state, actions):
-    """What every step gave, and the state after the last."""
+    """Return every step's outputs, and the state after the last."""
     seen = []
     for action in actions:
         step, state = env.step_and_maybe_reset(state.set("action", action))
@@ -55,7 +55,7 @@ def follow(env, state, actions):
         ("gymnasium", "HalfCheetah-v5", 990, 20),
         ("gymnasium", "Humanoid-v5", 15, 30),
         ("dm_control", "swimmer-swimmer6", 990, 20),
-        ("dm_control", "quadruped-walk", 990, 20),
+        pytest.param("dm_control", "quadruped-walk", 990, 20, marks=pytest.mark.nightly),
     ],
 )
 def test_a_robot_goes_on_as_it_would_have(tmp_path, library, name, before, after):

@@ -1,4 +1,4 @@
-"""What is read from a file is computed with like what was computed: its place in the file decides no bit."""
+"""Tensors read from a file give the same bits as the computed ones, wherever they lie in the file."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ SHIFTS = range(0, ALIGNMENT, 4)
 
 
 def shifted(file, shift, tree):
-    """Write ``tree`` behind ``shift`` bytes of other tensors; how far off ALIGNMENT the file's own memory then lies."""
+    """Write ``tree`` behind ``shift`` bytes of other tensors; return its memory's offset from ALIGNMENT."""
     # Files hold tensors by name.
     save_tree(file, {"a": torch.zeros(shift // 4), "tree": tree})
     with safe_open(str(file), framework="pt") as opened:
@@ -23,7 +23,7 @@ def shifted(file, shift, tree):
 
 
 def misaligned(value):
-    """Whether any tensor or array of a tree lies off ALIGNMENT."""
+    """Return whether any tensor or array of a tree lies off ALIGNMENT."""
     if isinstance(value, dict):
         return any(map(misaligned, value.values()))
     address = value.ctypes.data if isinstance(value, np.ndarray) else value.data_ptr()
@@ -53,7 +53,7 @@ def test_tensors_and_arrays_are_loaded_into_memory_of_their_own(tmp_path, shift)
 @pytest.mark.parametrize("network", [GCN, MLP], ids=["gcn", "mlp"])
 @pytest.mark.parametrize("name", ["td3", "sac"])
 def test_an_update_with_what_was_loaded_equals_one_with_what_was_saved(tmp_path, name, network):
-    """To the bit, at every place in a file: the acting, both losses, the optimisers and the targets."""
+    """Actions, both losses, optimisers and targets are equal to the bit, at every place in a file."""
 
     def updated(state, batch):
         algorithm = build(name, network)

@@ -1,4 +1,4 @@
-"""``logger=wandb`` and ``logger=mlflow``: a run of theirs for each training, with its numbers and its films."""
+"""``logger=wandb`` and ``logger=mlflow`` make a run for each training, with its numbers and its films."""
 
 import shutil
 from pathlib import Path
@@ -22,7 +22,7 @@ def _short(monkeypatch, tmp_path):
 
 
 def trainings(root, kind):
-    """Two in one process, as in a sweep."""
+    """Train twice in one process, as in a sweep."""
     return [train(root / name, f"logger={kind}", "video=true", without=("logger",)) for name in ("first", "second")]
 
 
@@ -35,7 +35,7 @@ def test_wandb_has_a_run_of_each(tmp_path):
     pytest.importorskip("wandb")
     for run in trainings(tmp_path, "wandb"):
         (kept,) = (run / "wandb").glob("offline-run-*")
-        # Numbered by what was logged before.
+        # File names are numbered by the entries logged before.
         names = sorted(kept.rglob("walk_*.mp4"), key=lambda file: int(file.name.split("_")[1]))
         assert [file.read_bytes() for file in names] == films(run) and len(names) == len(rows(run))
 

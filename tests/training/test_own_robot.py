@@ -1,4 +1,4 @@
-"""A robot of one's own with settings of its own: a YAML outside the package."""
+"""A custom robot trains with settings of its own, from a YAML outside the package."""
 
 import pytest
 from fuzzing import answered
@@ -34,19 +34,19 @@ WAYS = ["--config-dir=own", "--config-dir own", "-cd own", "hydra.searchpath=[fi
 @pytest.mark.parametrize("way", [WAYS[0], *(pytest.param(way, marks=pytest.mark.nightly) for way in WAYS[1:])])
 def test_options_stand_anywhere_among_the_settings(tmp_path, way):
     words = way.format(tmp_path).split(" ")
-    # On both sides, as nothing about key=value says which comes first.
-    assert command("train", "algo=td3", *words, *tiny(tmp_path / "run", "robot=mine", "total_frames=160")) == 0
+    # Options on both sides of key=value, which has no prescribed order.
+    assert command("train", "algo=td3", *words, *tiny(tmp_path / "run", "robot=mine", "total_frames=80")) == 0
     settings = load_settings(tmp_path / "run")
     ends = settings.task.terminations
-    # Its own, the quadruped's, everybody's.
+    # A setting of its own, one of the quadruped's, and a default.
     assert (ends["long_contact"].steps, ends["fall"].height, ends["finish"].distance) == (None, -0.2, 15.0)
     assert settings.robot.name == "robot.xml" and settings.setup().robot.feet == ("leg_r", "leg_l")
-    # What it says is in the run by now, so the YAML may be found again, or not.
+    # The run holds the YAML's content, so the YAML may be missing.
     resume = f"resume={tmp_path / 'run'}"
-    assert command("train", resume, *words, "total_frames=320") == 0
+    assert command("train", resume, *words, "total_frames=120") == 0
     (tmp_path / "own").rename(tmp_path / "gone")
-    assert command("train", resume, "total_frames=400") == 0
-    assert rows(tmp_path / "run")[-1]["frames"] == "400"
+    assert command("train", resume, "total_frames=160") == 0
+    assert rows(tmp_path / "run")[-1]["frames"] == "160"
     resumed = load_settings(tmp_path / "run")
     assert (resumed.task, resumed.env) == (settings.task, settings.env)
 

@@ -1,4 +1,4 @@
-"""Going on as if nothing had happened: stopped or extended runs against ones that were left alone."""
+"""Stopped and extended runs equal runs that were left alone."""
 
 import json
 import shutil
@@ -7,22 +7,24 @@ from itertools import product
 import pytest
 import torch
 from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
 from resuming import TIMED, StopAfter, assert_same_run, stopped
 from running import TINY, Recorded, command, rows, train
 
+from gctd3.config.build import build
 from gctd3.training.checkpoint import Checkpoints
-from gctd3.training.saved_configuration import save_config
+from gctd3.training.saved_configuration import changed, command_line, load_config, load_settings, save_config
 
 ALGORITHMS = ("gctd3", "td3", "ddpg", "sac")
 # The state of a backend is the same for all algorithms, and that of an algorithm is tested by itself as well.
-QUICK = [("gctd3", "batched"), ("sac", "batched"), ("gctd3", "dm_control")]
+QUICK = [("gctd3", "batched", "frames"), ("gctd3", "dm_control", "frames")]
 CASES = [
-    pytest.param(*case, "frames", marks=[] if case in QUICK else [pytest.mark.nightly])
-    for case in product(ALGORITHMS, ("batched", "dm_control"))
+    pytest.param(*case, marks=[] if case in QUICK else [pytest.mark.nightly])
+    for case in [*product(ALGORITHMS, ("batched", "dm_control"), ["frames"]), ("td3", "batched", "stacked")]
 ]
 
 
-@pytest.mark.parametrize(("algo", "backend", "storage"), [*CASES, ("td3", "batched", "stacked")])
+@pytest.mark.parametrize(("algo", "backend", "storage"), CASES)
 def test_stopped_and_resumed_equals_left_alone(finished, tmp_path, algo, backend, storage):
     settings = [f"algo={algo}", f"env.backend={backend}", f"replay.storage={storage}"]
     left_alone = {("batched", "frames"): algo, ("dm_control", "frames"): {"gctd3": "dm_control"}.get(algo)}
@@ -60,17 +62,16 @@ def test_stopped_after_it_had_begun_again(tmp_path, storage):
 
 
 def test_more_frames_extend_a_finished_run(finished, tmp_path):
-    long = train(tmp_path / "long", "total_frames=400")
+    run = train(tmp_path / "run", "total_frames=160", without=["total_frames"])
+    assert command("train", f"resume={run}") == 2
+    assert command("train", f"resume={run}", "total_frames=240") == 0
+    assert rows(run, drop=TIMED) == rows(finished["gctd3"], drop=TIMED)
+    # It is now a run of 240 frames.
+    assert command("train", f"resume={run}") == 2
+
+
+def test_other_settings_are_refused_by_name_and_harmless_ones_taken(finished, tmp_path, capsys):
     run = finished.copy("gctd3", tmp_path / "run")
-    assert command("train", f"resume={run}") == 2
-    assert command("train", f"resume={run}", "total_frames=400") == 0
-    assert rows(run, drop=TIMED) == rows(long, drop=TIMED)
-    # It is now a run of 400 frames.
-    assert command("train", f"resume={run}") == 2
-
-
-def test_other_settings_are_refused_by_name_and_harmless_ones_taken(tmp_path, capsys):
-    run = stopped(tmp_path / "run", 80)
     capsys.readouterr()
     assert command("train", f"resume={run}", "algo.gamma=0.9", "gradient_steps=3", "logger=csv") == 2
     error = capsys.readouterr().err
@@ -79,9 +80,50 @@ def test_other_settings_are_refused_by_name_and_harmless_ones_taken(tmp_path, ca
     assert "logger:" not in error
     assert command("train", f"resume={run}", "algo=sac") == 2
     assert "algo._target_: 'gctd3.TD3Settings' -> 'gctd3.SACSettings" in capsys.readouterr().err
-    assert command("train", f"resume={run}", "logger=csv", "total_frames=160") == 0
-    assert [row["frames"] for row in rows(run)] == ["80", "160"]
+    assert command("train", f"resume={run}", "logger=csv", "total_frames=320") == 0
+    assert [row["frames"] for row in rows(run)] == ["80", "160", "240", "320"]
     assert (run / "csv").is_dir()
+
+
+BOUND, RETURN, ENOUGH = (
+    f"stop_when.{key}" for key in ("at_least.train_episodes", "at_least.return_mean", "evaluations")
+)
+HISTORY = {
+    "total_frames=240 logger=none stop_when=never": {"total_frames": 240, "logger": "none", ENOUGH: None},
+    "total_frames=160 logger=csv stop_when=walk": {"total_frames": 160, "logger": "csv", ENOUGH: 2},
+    "logger=none total_frames=240 stop_when=never": {"total_frames": 240, "logger": "none", ENOUGH: None},
+    f"stop_when=walk +{BOUND}=5 {RETURN}=1": {BOUND: 5, RETURN: 1, ENOUGH: 2},
+    f"{BOUND}=6 stop_when.at_least={{return_mean:2}}": {BOUND: 6, RETURN: 2},
+    f"{RETURN}=1 +{BOUND}=5": {BOUND: 5, RETURN: 1},
+    # The last of a line counts.
+    "threads=2 logger=csv logger=none": {"threads": 2, "logger": "none"},
+    "threads=3 threads=2": {"threads": 2},
+    "threads=2 threads=3": {"threads": 3},
+}
+
+
+def test_a_setting_counts_that_an_earlier_command_line_has_too(tmp_path):
+    wanted = {}
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        save_config(tmp_path, compose("config"), [])
+        for line, values in HISTORY.items():
+            wanted |= values
+            save_config(tmp_path, *changed(tmp_path, "config", line.split()))
+            saved = load_config(tmp_path)
+            assert {key: OmegaConf.select(saved, key) for key in wanted} == wanted, line
+        # Hydra itself reads the whole line alike.
+        kept = compose("config", command_line(tmp_path))
+        assert {key: OmegaConf.select(kept, key) for key in wanted} == wanted
+        # A sweep that goes on repeats its line, and nothing is added to it.
+        assert changed(tmp_path, "config", command_line(tmp_path)) == (saved, command_line(tmp_path))
+
+
+@pytest.mark.parametrize("line", ["stop_when=never", "~stop_when.at_least.success_rate", "~stop_when.at_most"])
+def test_a_setting_can_be_left_out(tmp_path, line):
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        save_config(tmp_path, compose("config"), [])
+        save_config(tmp_path, *changed(tmp_path, "config", [line]))
+        assert load_settings(tmp_path) == build(compose("config", [line]))
 
 
 def test_keys_of_the_options_that_the_run_chose_are_known(tmp_path, capsys):
@@ -110,6 +152,7 @@ def test_the_csv_logger_goes_back_to_the_checkpoint(tmp_path):
             assert (part / "csv" / file).read_text() == (whole / "csv" / file).read_text(), file
 
 
+@pytest.mark.nightly
 def test_tensorboard_goes_back_to_the_checkpoint(tmp_path):
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     part = stopped(tmp_path / "part", 96, "logger=tensorboard")
@@ -135,6 +178,7 @@ def test_no_run_to_resume(tmp_path, capsys, missing):
 def test_a_damaged_checkpoint_is_passed_over(finished, tmp_path, capsys):
     whole = finished["gctd3"]
     part = stopped(tmp_path / "part", 160, "checkpoint_every=0.001")
+    again = shutil.copytree(part, tmp_path / "again")
     newest, before = sorted((part / "checkpoints").glob("step-*"), reverse=True)[:2]
     state = newest / "state.safetensors"
     damaged = bytearray(state.read_bytes())
@@ -147,7 +191,6 @@ def test_a_damaged_checkpoint_is_passed_over(finished, tmp_path, capsys):
     assert str(state) in error
     assert_same_run(whole, part)
     # A part of the replay that only the newest names is damaged: it must not live on in those after it.
-    again = stopped(tmp_path / "again", 160, "checkpoint_every=0.001")
     newest_part = max((again / "checkpoints" / "replay").iterdir())
     newest_part.write_bytes(newest_part.read_bytes()[:-1])
     assert command("train", f"resume={again}") == 0

@@ -1,16 +1,21 @@
-"""Files of a run are data: whatever stands in their place, nothing of it is run."""
+"""Files of a run are data: no code in any of them is executed."""
 
+import os
 import pickle
 import re
 import shutil
+import subprocess
 import sys
+from itertools import cycle, product
 from pathlib import Path
 
 import pytest
 import torch
-from running import command, train
+from omegaconf import OmegaConf
+from running import command, tiny, train
 
 import gctd3
+from gctd3.config.build import again, packages
 from gctd3.errors import RunError
 from gctd3.files import checksum, load_tree, read_manifest, write_manifest
 from gctd3.runs.load import load_policy
@@ -18,7 +23,7 @@ from gctd3.training.saved_configuration import load_settings
 
 
 class Evil:
-    """What unpickling this would do: create a file."""
+    """Create a file when unpickled."""
 
     def __init__(self, marker):
         self.marker = marker
@@ -33,7 +38,7 @@ def run(finished):
 
 
 def evil_files(folder, marker):
-    """A plain pickle and torch's zip of one."""
+    """Make a plain pickle and torch's zip of one."""
     plain, zipped = folder / "plain", folder / "zipped"
     plain.write_bytes(pickle.dumps(Evil(marker)))
     torch.save(Evil(marker), zipped)
@@ -50,31 +55,30 @@ def test_the_evil_files_are_evil(tmp_path):
     assert marker.exists()
 
 
-def test_nothing_of_a_run_is_executed(tmp_path, capsys, run):
-    """Even with the checksums that belong to it."""
+@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.nightly)], ids=["by turns", "every one"])
+def test_nothing_of_a_run_is_executed(tmp_path, capsys, run, every):
+    """Code in a run's files is not executed, even with valid checksums; each file is replaced by evil ones."""
     marker = tmp_path / "marker"
-    files = [path.relative_to(run) for path in run.rglob("*") if path.is_file() and path.name != ".lock"]
+    files = sorted(path.relative_to(run) for path in run.rglob("*") if path.is_file() and path.name != ".lock")
     assert {"config.yaml", "manifest.json", "policy.safetensors", "state.safetensors"} <= {path.name for path in files}
-    for evil in evil_files(tmp_path, marker):
-        for file in files:
-            broken = Path(shutil.copytree(run, tmp_path / "broken"))
-            shutil.copy(evil, broken / file)
-            if file.suffix == ".safetensors":
-                seal(broken)
-                with pytest.raises(RunError, match=re.escape(str(broken / file))):
-                    load_tree(broken / file)
-            capsys.readouterr()
-            judged = "best-" in str(file) or file.name == "config.yaml"
-            code = (
-                command("evaluate", f"run={broken}", "episodes=1") if judged else command("train", f"resume={broken}")
-            )
-            assert code == 2
-            assert "Traceback" not in capsys.readouterr().err
-            if file.name in ("policy.safetensors", "config.yaml"):
-                with pytest.raises(RunError, match=re.escape(str(broken))):
-                    load_policy(broken)
-            assert not marker.exists(), file
-            shutil.rmtree(broken)
+    kinds = evil_files(tmp_path, marker)
+    for evil, file in product(kinds, files) if every else zip(cycle(kinds), files, strict=False):
+        broken = Path(shutil.copytree(run, tmp_path / "broken"))
+        shutil.copy(evil, broken / file)
+        if file.suffix == ".safetensors":
+            seal(broken)
+            with pytest.raises(RunError, match=re.escape(str(broken / file))):
+                load_tree(broken / file)
+        capsys.readouterr()
+        evaluated = "best-" in str(file) or file.name == "config.yaml"
+        code = command("evaluate", f"run={broken}", "episodes=1") if evaluated else command("train", f"resume={broken}")
+        assert code == 2
+        assert "Traceback" not in capsys.readouterr().err
+        if file.name in ("policy.safetensors", "config.yaml"):
+            with pytest.raises(RunError, match=re.escape(str(broken))):
+                load_policy(broken)
+        assert not marker.exists(), file
+        shutil.rmtree(broken)
 
 
 STRANGER = """
@@ -89,7 +93,7 @@ class Settings(TD3Settings):
 
 
 def test_no_stranger_is_imported_unless_it_is_allowed(tmp_path, monkeypatch, capsys, run):
-    """Somebody else's run names a module that this machine can import."""
+    """A module named in somebody else's run is not imported unless it is allowed, even if it is installed."""
     marker, broken = tmp_path / "marker", Path(shutil.copytree(run, tmp_path / "run"))
     (tmp_path / "stranger.py").write_text(STRANGER.format(marker=str(marker)))
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -106,9 +110,14 @@ def test_no_stranger_is_imported_unless_it_is_allowed(tmp_path, monkeypatch, cap
         load_policy(broken)
     assert not marker.exists() and "stranger" not in sys.modules
 
-    monkeypatch.setenv("GCTD3_MODULES", "another, stranger")
+    for typo in ("strange", "stranger.Settings"):
+        monkeypatch.setenv("GCTD3_MODULES", f"json,{typo}")
+        with pytest.raises(RunError, match=rf"GCTD3_MODULES must name packages, by commas; '{typo}' is not found\."):
+            load_policy(broken)
+    assert not marker.exists()
+    monkeypatch.setenv("GCTD3_MODULES", "json, stranger")
     assert load_policy(broken) is not None and marker.exists()
-    # What the caller has imported is no stranger.
+    # A module that the caller has imported is allowed.
     monkeypatch.delenv("GCTD3_MODULES")
     assert load_policy(broken) is not None
     del sys.modules["stranger"]
@@ -121,8 +130,58 @@ def test_a_command_line_may_name_modules_of_ones_own(tmp_path, monkeypatch):
     assert load_settings(trained).algo == sys.modules.pop("mine").Settings(privileged_critic=True)
 
 
+MINE = "from own_terms import Rising\n\n\nclass Mine(Rising):\n    pass\n"
+
+
+def test_a_sweep_with_terms_of_ones_own_goes_on(tmp_path, monkeypatch, capsys):
+    """As in a process of its own, which has imported nothing yet."""
+    (tmp_path / "mine.py").write_text(MINE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    folder = [f"hydra.sweep.dir={tmp_path / 'sweep'}", "hydra.sweep.subdir=one", "seed=0", "-m"]
+    words = [*tiny(tmp_path / "unused", "+reward.terms.mine._target_=mine.Mine"), *folder]
+    assert command("train", *words) == 0
+    del sys.modules["mine"]
+    capsys.readouterr()
+    assert command("train", *words) == 0
+    assert "It is finished already." in capsys.readouterr().out
+    del sys.modules["mine"]
+
+
+def test_what_a_training_prints_can_be_pasted(tmp_path, monkeypatch, capsys):
+    (tmp_path / "mine.py").write_text(MINE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    there = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    monkeypatch.setenv("PYTHONPATH", there)
+    train(tmp_path / "a run", "+reward.terms.mine._target_=mine.Mine")
+    said = capsys.readouterr().out
+    line = next(line for line in said.splitlines() if line.startswith("Evaluate it over 50 episodes:"))
+    monkeypatch.delenv("PYTHONPATH")
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+    done = subprocess.run(line.partition(":  ")[2], shell=True, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "a run" / "evaluation.json").is_file()
+    assert f"GCTD3_MODULES=mine python -m gctd3.view 'run={tmp_path / 'a run'}'" in said
+    del sys.modules["mine"]
+
+
+@pytest.mark.parametrize(
+    "config, needed",
+    [
+        ({"_target_": "gctd3.Reward", "terms": {"a": {"_target_": "one.two.A"}, "b": None}}, ["one"]),
+        ({"reward.terms.a._target_": "one.A", "task._target_": "two.B", "algo._target_": "gctd3.X"}, ["one", "two"]),
+        ({"list": [{"_target_": "one.A"}, {"_target_": "one.B"}, 3]}, ["one"]),
+        ({"_target_": "gctd3.Reward"}, []),
+    ],
+)
+def test_packages_that_a_configuration_names(config, needed, monkeypatch):
+    assert packages(config) == packages(OmegaConf.create(config)) == needed
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    said = f"GCTD3_MODULES={','.join(needed)} " if needed else ""
+    assert again(config, "train", "resume=a") == f"{said}python -m gctd3.train resume=a"
+
+
 def seal(run):
-    """Make every manifest say that the files beside it are right."""
+    """Write the files' checksums into every manifest."""
     for manifest in run.glob("checkpoints/*/manifest.json"):
         content = read_manifest(manifest.parent)
         content["files"] = {name: checksum(manifest.parent / name) for name in content["files"]}
@@ -132,7 +191,7 @@ def seal(run):
 
 
 def test_nothing_in_the_library_could():
-    """No way to run what a file holds is used anywhere."""
+    """The library uses no function that can execute the content of a file."""
     forbidden = r"\b(pickle|cPickle|dill|joblib|marshal|shelve|torch\.load|torch\.jit\.load|unsafe_load|full_load)\b"
     yaml_load = r"\byaml\.(load|load_all|unsafe\w*)\b(?!.*SafeLoader)|(?<!\.)\b(eval|exec)\("
     sources = [*Path(gctd3.__file__).parent.rglob("*.py")]

@@ -1,4 +1,4 @@
-"""Sweeps: the ready ones, runs side by side, what stops and crashes, and how a report tells their runs apart."""
+"""Sweeps: the ready ones, runs side by side, stopped and crashed runs, and their names in a report."""
 
 import functools
 import os
@@ -17,6 +17,7 @@ from running import TINY, Recorded, command, rows, train, wait_for
 
 from gctd3.comparison.groups import groups_of
 from gctd3.comparison.runs import find_runs
+from gctd3.comparison.verdict import verdict
 from gctd3.config.build import build
 from gctd3.config.command_line import explain
 from gctd3.errors import NumericalError
@@ -31,12 +32,12 @@ NAMES = {
 }
 
 
-SEEDS = (0, 1)  # of the five: composing takes its time
+SEEDS = (0, 1)  # two of the five seeds: composing takes long
 
 
 @functools.cache
 def params(experiment):
-    """What a ready sweep sweeps over, as a command line would say it."""
+    """Return the parameters of a ready sweep, as a command line would give them."""
     with initialize_config_module("gctd3.conf", version_base="1.3"):
         whole = compose("config", [f"experiment={experiment}"], return_hydra_config=True)
         return dict(whole.hydra.sweeper.params)
@@ -44,14 +45,15 @@ def params(experiment):
 
 @functools.cache
 def jobs(experiment):
-    """Command line and configuration of each run of a ready sweep, for some of its seeds."""
+    """Return command line and configuration of each run of a ready sweep, for some of its seeds."""
     over = {key: str(value).split(",") for key, value in params(experiment).items() if key != "seed"}
     found = []
     with initialize_config_module("gctd3.conf", version_base="1.3"):
-        for *chosen, seed in product(*over.values(), SEEDS):
+        for chosen in product(*over.values()):
             overrides = [f"experiment={experiment}", *(f"{k}={v}" for k, v in zip(over, chosen, strict=True))]
-            overrides.append(f"seed={seed}")
-            found.append((overrides, compose("config", overrides)))
+            config = compose("config", overrides)
+            # A seed is but a value, which others refer to; to compose takes long.
+            found += [([*overrides, f"seed={seed}"], OmegaConf.merge(config, {"seed": seed})) for seed in SEEDS]
     return found
 
 
@@ -127,7 +129,7 @@ def arguments(directory, *overrides, **changed):
 
 
 def beside(directory, *overrides, **changed):
-    """A sweep with two runs at once, in a process group of its own, as a terminal has it."""
+    """Start a sweep with two runs at once, in a process group of its own, as a terminal does."""
     more = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2", *overrides]
     module = [sys.executable, "-m", "gctd3.train", *arguments(directory, *more, **changed)]
     return subprocess.Popen(module, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
@@ -163,7 +165,7 @@ def test_ctrl_c_reaches_runs_side_by_side_and_the_sweep_goes_on_later(tmp_path):
     whole = train(tmp_path / "whole", "seed=1", *(f"{k}={v}" for k, v in long.items()), without=list(long))
     assert_same_run(whole, directory / "seed1")
 
-    # Nothing is left to do, whoever launches it.
+    # With any launcher, nothing is left to do.
     before = {file: file.read_bytes() for file in directory.glob("seed?/progress.csv")}
     assert command("train", *arguments(directory, **long)) == 0
     assert {file: file.read_bytes() for file in directory.glob("seed?/progress.csv")} == before
@@ -175,11 +177,11 @@ def test_a_missing_plugin_is_named():
     assert "'hydra/launcher/joblib'" in said and "pip install 'gctd3[sweep]'" in said and "basic" in said
 
 
-# What crashes.
+# Crashes.
 
 
 class Crashing(Recorded):
-    """Its second update fails for seed 0."""
+    """Fail at the second update for seed 0."""
 
     def _evaluate(self):
         if self.settings.seed == 0 and self.counters.frames > 100:
@@ -194,8 +196,9 @@ def test_a_crashed_run_is_named_and_the_others_go_on(tmp_path, capsys):
     assert f"error: {tmp_path / 'sweep' / 'seed0'}: After " in error and "the loss is nan" in error
     assert "the other runs went on" in error and "Traceback" not in error
     assert int(rows(tmp_path / "sweep" / "seed1")[-1]["frames"]) == 240
-    assert command("report", f"runs={tmp_path / 'sweep'}", f"out={tmp_path / 'out'}", "episodes=1", "threads=1") == 0
-    said = (tmp_path / "out" / "verdict.txt").read_text(encoding="utf-8")
+    for seed in (0, 1):
+        assert command("evaluate", f"run={tmp_path / 'sweep' / f'seed{seed}'}", "episodes=1", "threads=1") == 0
+    said = "\n".join(verdict(groups_of(find_runs(tmp_path / "sweep"))))
     assert "gctd3, seed 0 (seed0) crashed: After " in said and "the loss is nan" in said
     assert "its best policy until then counts" in said and "seed 1 (" not in said
 

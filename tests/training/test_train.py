@@ -1,4 +1,4 @@
-"""From the command line to what a run leaves behind."""
+"""A training from the command line, and the files that it leaves."""
 
 import json
 import math
@@ -32,7 +32,7 @@ PROMISED = (
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """One run of each algorithm, trained when first asked for: its directory and its trainer."""
+    """Train one run of each algorithm when first asked for: its directory and its trainer."""
     made = {}
 
     def get(algorithm):
@@ -49,7 +49,7 @@ def _elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-# What a run leaves behind.
+# Files of a run.
 
 
 def test_a_training_ends_with_what_to_do_next(tmp_path, capsys):
@@ -59,8 +59,8 @@ def test_a_training_ends_with_what_to_do_next(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("algorithm", ["gctd3", "td3", "ddpg", "sac"])
-def test_a_run_keeps_the_contract(runs, algorithm):
-    run, _ = runs(algorithm)
+def test_a_run_keeps_the_contract(finished, tmp_path, algorithm):
+    run = finished.copy(algorithm, tmp_path / "run")
     text = (run / ".hydra" / "config.yaml").read_text(encoding="utf-8")
     assert "${" not in text and "???" not in text
     settings = load_settings(run)
@@ -86,13 +86,13 @@ def test_a_run_keeps_the_contract(runs, algorithm):
     assert {"gctd3", "torch", "torchrl", "mujoco"} <= set(report["versions"])
 
 
-def test_load_policy_is_the_policy_that_was_judged_best(runs):
+def test_load_policy_is_the_policy_that_was_evaluated_best(runs):
     run, trainer = runs("gctd3")
     policy, nodes = gctd3.load_policy(run), torch.randn(20, 8, 10)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         loaded = policy(TensorDict({"nodes": nodes}, [20]))["action"]
         actions = {
-            frames: judged(TensorDict({"nodes": nodes}, [20]))["action"] for frames, judged in trainer.policies.items()
+            frames: policy(TensorDict({"nodes": nodes}, [20]))["action"] for frames, policy in trainer.policies.items()
         }
     assert [frames for frames, action in actions.items() if torch.equal(action, loaded)] == [trainer.best["frames"]]
 
@@ -108,14 +108,18 @@ def test_a_later_evaluation_repeats_the_one_in_training(runs, algorithm, capsys)
     assert f"{report['return_mean']:.1f}" in capsys.readouterr().out
 
 
-def test_same_seed_same_run_also_in_another_process(runs, tmp_path):
+def test_same_seed_same_run(runs, finished):
     run, _ = runs("gctd3")
+    assert rows(finished["gctd3"], drop=["wall_s"]) == rows(run, drop=["wall_s"])
+    assert rows(finished["gctd3 seed 1"], drop=["wall_s"]) != rows(run, drop=["wall_s"])
+
+
+@pytest.mark.nightly
+def test_same_seed_same_run_in_another_process(finished, tmp_path):
     done = process("train", *tiny(tmp_path / "again", "algo=gctd3"))
     assert done.returncode == 0, done.stderr
     assert f"python -m gctd3.evaluate run={tmp_path / 'again'}" in done.stdout
-    assert rows(tmp_path / "again", drop=["wall_s"]) == rows(run, drop=["wall_s"])
-    other = train(tmp_path / "other", "seed=1")
-    assert rows(other, drop=["wall_s"]) != rows(run, drop=["wall_s"])
+    assert rows(tmp_path / "again", drop=["wall_s"]) == rows(finished["gctd3"], drop=["wall_s"])
 
 
 def test_every_frame_counts_towards_the_warm_up(runs):
@@ -123,7 +127,7 @@ def test_every_frame_counts_towards_the_warm_up(runs):
     assert int(trainer.explorer.frames) == 240
 
 
-# What is best, and when it is enough.
+# The best policy, and the end of a training.
 
 
 def test_best_is_what_meets_most_conditions_then_what_returns_most():
@@ -171,7 +175,7 @@ def test_begins_again_when_no_evaluation_meets_all_conditions(tmp_path, capsys):
     # Two after each of the 21 steps from the end of a warm-up on; the last warm-up has just ended.
     assert trainer.algorithm.updates == 2
     assert int(rows(run)[-1]["updates"]) == trainer.counters.updates == 2 * (21 + 21) + 2
-    # Every time with other weights.
+    # Each restart has new weights.
     first, second = (trainer.policies[frames].state_dict() for frames in (240, 400))
     assert any((first[key] != second[key]).any() for key in first)
 

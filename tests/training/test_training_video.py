@@ -1,4 +1,4 @@
-"""``train video=true``: a film of every policy that was evaluated, and a training that does not notice it."""
+"""``train video=true`` films every evaluated policy, and does not change the training."""
 
 import io
 
@@ -15,7 +15,7 @@ ffmpeg = pytest.importorskip("imageio_ffmpeg")
 
 @pytest.fixture(scope="module")
 def runs(finished, tmp_path_factory):
-    """A run that was filmed, and one that was not."""
+    """Train a run with films, and one without."""
     there = tmp_path_factory.mktemp("runs")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(film, "CLIP", 0.4)

@@ -1,4 +1,4 @@
-"""Pictures of a walk: the walk that is judged, marks and sizes as asked, files that read back, any OpenGL."""
+"""Pictures of a walk show the evaluated walk, with marks and sizes as asked, and need any one OpenGL."""
 
 import os
 import subprocess
@@ -14,7 +14,7 @@ from PIL import Image
 import gctd3
 from gctd3.errors import ConfigError
 from gctd3.robots.robot import Robot
-from gctd3.runs.judge import evaluate
+from gctd3.runs.evaluate import evaluate
 from gctd3.viz import film
 from gctd3.viz.film import Walk, draw, record, sheet, write_animation
 
@@ -31,7 +31,7 @@ def walk(actor, task):
     return record(actor, task, seed=3)
 
 
-def test_the_walk_is_the_one_that_evaluation_judges(actor, task, walk):
+def test_the_walk_is_the_one_that_is_evaluated(actor, task, walk):
     (episode,) = evaluate(actor, env_of(task, num_envs=1), task, 3).episodes
     np.testing.assert_array_equal(walk.reward.astype(np.float32), episode.reward.astype(np.float32))
     np.testing.assert_allclose(walk.position, episode.position, atol=1e-6)
@@ -129,7 +129,7 @@ CODE = "from gctd3.viz.offscreen import find_backend; print(find_backend())"
 
 
 def backend(**environment):
-    """What a fresh process without a screen finds."""
+    """Return the backend that a fresh process without a screen finds."""
     kept = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM", "DISPLAY")}
     done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, env=kept | environment)
     return done.stdout.strip() or done.stderr.strip().splitlines()
@@ -138,7 +138,7 @@ def backend(**environment):
 @pytest.mark.skipif(sys.platform != "linux", reason="EGL and OSMesa are Linux's")
 def test_another_backend_takes_over():
     found = backend(**NO_EGL)
-    if found != "osmesa":  # then there is no OSMesa either, and that is said
+    if found != "osmesa":  # then OSMesa is missing too, and the error says so
         assert any("RenderError: There is no OpenGL" in line and "apt install libegl1" in line for line in found)
 
 

@@ -1,4 +1,4 @@
-"""The picture of a graph: every node and edge is on it, nothing hides another, and the command writes it."""
+"""The picture of a graph shows every node and edge, without overlaps, and the command writes it."""
 
 import re
 from itertools import combinations

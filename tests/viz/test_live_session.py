@@ -1,4 +1,4 @@
-"""A walk that is watched: pushes, payload and friction are what physics says they are."""
+"""Pushes, payload and friction of a live walk have the effects that mechanics predicts."""
 
 import mujoco
 import numpy as np
@@ -12,7 +12,7 @@ from gctd3.viz.live_session import LiveWalk
 
 
 def live(name="biped", endless=False, **settings):
-    """A walk that stands: every servo in the middle of its range, but the biped's at straight legs."""
+    """Make a walk that stands: every servo in the middle of its range, but the biped's at straight legs."""
     robot = Robot.from_mjcf(name)
     low, high = robot.action_range.T
     still = torch.tensor(-(high + low) / (high - low) if name == "biped" else 0 * low, dtype=torch.float32)
@@ -22,7 +22,7 @@ def live(name="biped", endless=False, **settings):
 
 
 def momentum(walk):
-    """Of the whole robot, shape [3] (kg m/s)."""
+    """Return the whole robot's momentum, shape [3] (kg m/s)."""
     model, data = walk.robot.model, walk.show()
     mujoco.mj_subtreeVel(model, data)
     root = model.body(walk.robot.root).id
@@ -38,7 +38,7 @@ def test_a_push_adds_its_impulse_to_the_momentum(name, push, felt):
     before = momentum(walk)
     walk.push(*push)
     np.testing.assert_allclose(momentum(walk) - before, [*felt, 0.0], atol=1e-9)
-    # It moves on with it: in the air nothing stops it.
+    # The robot keeps this momentum: in the air nothing stops it.
     assert walk.step().velocity * felt[0] >= 0.0
 
 
@@ -47,7 +47,7 @@ def test_a_payload_is_mass_and_can_be_taken_off():
     mass = mujoco.mj_getTotalmass(walk.robot.model)
     walk.payload = 4.5
     assert walk.payload == 4.5 and mujoco.mj_getTotalmass(walk.robot.model) == pytest.approx(mass + 4.5)
-    # It carries momentum like any mass, so the same push moves it less.
+    # The payload has inertia, so the same push moves the robot less.
     walk.push(3.0)
     heavy = momentum(walk)[0] / (mass + 4.5)
     walk.payload = 0.0

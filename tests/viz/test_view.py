@@ -1,4 +1,4 @@
-"""The viewer before it shows anything: what can be chosen, and what it says when it cannot start."""
+"""The viewer before it opens a page: the runs to choose from, and its errors."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""The viewer in a real browser: buttons, sliders and the choice of a run do to the walk what they say."""
+"""The viewer in a real browser: its buttons, sliders and choice of runs change the walk as labelled."""
 
 import io
 import re
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.nightly
 
 @pytest.fixture(scope="module")
 def runs(finished, tmp_path_factory):
-    """A folder with the run of another robot, and with one that cannot be read."""
+    """Make a folder with the run of another robot, and with one that cannot be read."""
     folder = tmp_path_factory.mktemp("runs")
     finished.copy("quadruped", folder / "quadruped")
     shutil.copytree(find_run(None), folder / "broken")
@@ -82,7 +82,7 @@ def restart(page):
 
 
 def pushed(page, pushes):
-    """Speed (m/s) and distance (m) three control steps after a new start and pushes."""
+    """Return speed (m/s) and distance (m) three control steps after a new start and pushes."""
     restart(page)
     for _ in range(pushes):
         press(page, "Push forward")
@@ -93,7 +93,7 @@ def pushed(page, pushes):
 
 
 def scene(page):
-    """What is left of the controls, in squares of eight by eight pixels."""
+    """Return the picture beside the controls, in squares of eight by eight pixels."""
     picture = Image.open(io.BytesIO(page.screenshot(clip={"x": 0, "y": 200, "width": 400, "height": 240})))
     return np.asarray(picture.convert("L").resize((50, 30), Image.Resampling.BOX)).astype(int)
 

@@ -14,7 +14,7 @@ from gctd3.evaluation.episode import LAST_METRES, Episode
 from gctd3.evaluation.robustness import Examination
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize, why_missing
-from gctd3.files import new_file, write_text
+from gctd3.files import made, new_file, write_text
 from gctd3.robots.robot import Robot
 from gctd3.runs.settings import EvaluateSettings
 from gctd3.tasks.task import check_able
@@ -41,26 +41,25 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     if settings.robustness:
         check_able(run.setup.task, "robustness", run.directory)
     policy = run.policy()
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
     reward = settings.reward or run.settings.evaluation.reward
-    task = run.setup.task.judged_by(reward)
-    env = build_env(task, run.settings.env.judging(settings.episodes, settings.threads), settings.seed)
+    task = run.setup.task.with_reward(reward)
+    env = build_env(task, run.settings.env.for_evaluation(settings.episodes, settings.threads), settings.seed)
     walks, dt = "film" in task.abilities, task.control_dt
-    result = evaluate(policy, env, task, settings.seed, record=walks)
-    about: dict[str, object] = {"reward": reward.to_dict()} if walks else {"task": task.name}
-    report: dict[str, object] = {
-        **about,
-        **result.summary(),
-        "gait": {**result.gait(), **(summarize(result.episodes, task.robot, dt) if walks else {})},
-        "seeds": {"training": run.settings.seed, "evaluation": settings.seed},
-        "versions": versions(),
-    }
-    report = {key: _finite(value) for key, value in report.items()}
-    if folder is not None:
-        if walks:
-            write_text(folder / TRACE, trace(result.typical, task.robot, dt))
-        write_text(folder / EVALUATION, json.dumps(report, indent=2) + "\n")
+    with made(folder):
+        result = evaluate(policy, env, task, settings.seed, record=walks)
+        about: dict[str, object] = {"reward": reward.to_dict()} if walks else {"task": task.name}
+        report: dict[str, object] = {
+            **about,
+            **result.summary(),
+            "gait": {**result.gait(), **(summarize(result.episodes, task.robot, dt) if walks else {})},
+            "seeds": {"training": run.settings.seed, "evaluation": settings.seed},
+            "versions": versions(),
+        }
+        report = {key: _finite(value) for key, value in report.items()}
+        if folder is not None:
+            if walks:
+                write_text(folder / TRACE, trace(result.typical, task.robot, dt))
+            write_text(folder / EVALUATION, json.dumps(report, indent=2) + "\n")
     return report
 
 
@@ -80,7 +79,7 @@ def examine_run(settings: EvaluateSettings, stride_time: float | None) -> dict[s
     run, folder = load_run(settings.run), settings.folder
     reward = settings.reward or run.settings.evaluation.reward
     task = run.task("robustness", reward)
-    env = run.settings.env.judging(settings.episodes, settings.threads)
+    env = run.settings.env.for_evaluation(settings.episodes, settings.threads)
     examination = Examination(run.policy(), task, env, settings.seed, settings.perturbations)
     results = {**examination.results(stride_time), "reward": reward.to_dict(), "versions": versions()}
     if folder is None:
@@ -114,16 +113,19 @@ def trace(episode: Episode, robot: Robot, dt: float) -> str:
 
 
 def table(report: dict[str, object]) -> str:
-    """Format the report as a table beside the paper's row."""
-    rows = [
-        ("episodes", "episodes", "{:.0f}", None),
-        ("return", "return_mean", "{:.1f}", "return_std"),
-        ("velocity, m/s", "velocity_mean", "{:.3f}", None),
-        ("distance, m", "distance_mean", "{:.2f}", None),
-        ("success rate", "success_rate", "{:.2f}", None),
-        ("body position, m from standing", "body_position_mean", "{:.4f}", None),
-    ]
-    lines = [f"{'':34}{'this policy':>18}{'paper, GCTD3':>18}"]
+    """Format the report as a table, of a walk beside the paper's row."""
+    rows = [("episodes", "episodes", "{:.0f}", None), ("return", "return_mean", "{:.1f}", "return_std")]
+    walk = "task" not in report
+    # The robot of a library's task may be fixed where it is.
+    if walk or report["distance_mean"]:
+        rows += [("velocity, m/s", "velocity_mean", "{:.3f}", None), ("distance, m", "distance_mean", "{:.2f}", None)]
+    if walk:
+        rows += [
+            ("success rate", "success_rate", "{:.2f}", None),
+            ("body position, m from standing", "body_position_mean", "{:.4f}", None),
+        ]
+    # The paper has no numbers for a library's task.
+    lines = [f"{'':34}{'this policy':>18}" + (f"{'paper, GCTD3':>18}" if walk else "")]
 
     def cell(values: dict[str, object], key: str, form: str, spread: str | None) -> str:
         if key not in values:
@@ -131,18 +133,20 @@ def table(report: dict[str, object]) -> str:
         text = form.format(values[key])
         return f"{text} ± {form.format(values[spread])}" if spread else text
 
-    # The paper has nothing to say of a library's task.
-    paper: dict[str, object] = {} if "task" in report else {**PAPER, "episodes": 50}
+    paper: dict[str, object] = {**PAPER, "episodes": 50}
     for label, key, form, spread in rows:
-        lines.append(f"{label:34}{cell(report, key, form, spread):>18}{cell(paper, key, form, spread):>18}")
+        beside = f"{cell(paper, key, form, spread):>18}" if walk else ""
+        lines.append(f"{label:34}{cell(report, key, form, spread):>18}{beside}")
     gait = report["gait"]
+    if not walk and not gait:
+        return "\n".join(lines)
     if not isinstance(gait, dict) or not gait:
         return "\n".join([*lines, f"No episode got {LAST_METRES:.0f} m far, so there is no gait to measure."])
     lines += ["", f"Gait over the last {LAST_METRES:.0f} m of {gait['episodes']:.0f} episodes"]
     for key, value in gait.items():
         if key != "episodes":
-            said = f"{value:.4g}" if value is not None else why_missing(gait, key) if key in OF_STRIDES else "undefined"
-            lines.append(f"{key.replace('_', ' '):34}{said:>18}")
+            text = f"{value:.4g}" if value is not None else why_missing(gait, key) if key in OF_STRIDES else "undefined"
+            lines.append(f"{key.replace('_', ' '):34}{text:>18}")
     return "\n".join(lines)
 
 
