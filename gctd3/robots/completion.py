@@ -158,10 +158,10 @@ def _ground(draft: Draft) -> int:
     name = add_floor(draft.spec, contype=contype, conaffinity=conaffinity)
     draft.edit(f"The file has no ground; a level plane {name!r} at z = 0 is added.")
     draft.compile()
-    found = _geom(draft.model, name)
-    if not touching_bodies(draft.model, draft.root, found):
+    added = _geom(draft.model, name)
+    if not touching_bodies(draft.model, draft.root, added):
         raise RobotError(f"{draft.file} has no foot: no geom of the robot can touch the ground.")
-    return found
+    return added
 
 
 def _geom(model: mujoco.MjModel, name: str) -> int:
@@ -199,9 +199,9 @@ def _stand(
     sensed = contact_sensors(model, root)
     split: list[list[int]] = []
     for body in feet:
-        asked = [geom for other, geoms in named or [] if other == body for geom in geoms]
-        alone = body_name(model, body) in sensed and not asked
-        parts = asked or ([] if alone or named else foot_geoms(model, body, floor, qpos, stood.height))
+        named_geoms = [geom for other, geoms in named or [] if other == body for geom in geoms]
+        alone = body_name(model, body) in sensed and not named_geoms
+        parts = named_geoms or ([] if alone or named else foot_geoms(model, body, floor, qpos, stood.height))
         split.append(parts)
     names = [body_name(model, body) for body in feet]
     return (None if chosen is None else draft.pose_of(qpos)), key, names, split
@@ -237,21 +237,21 @@ def _named_feet(draft: Draft, names: str | Sequence[str], floor: int) -> list[tu
 
 
 def _choose_key(
-    draft: Draft, asked: str | None, floor: int, ends: Sequence[int], all_stand: bool
+    draft: Draft, chosen: str | None, floor: int, ends: Sequence[int], all_stand: bool
 ) -> tuple[str, np.ndarray] | None:
     """Return name and pose of the key in which the robot stands; ``None`` if there is none."""
     model, root = draft.model, draft.root
     keys = {model.key(k).name or f"key_{k}": k for k in reversed(range(model.nkey))}
-    if asked is not None and asked not in keys:
+    if chosen is not None and chosen not in keys:
         raise RobotError(
-            f"{draft.file} has no key {asked!r}.{suggest(asked, keys)} Its keys are {', '.join(keys) or 'none'}."
+            f"{draft.file} has no key {chosen!r}.{suggest(chosen, keys)} Its keys are {', '.join(keys) or 'none'}."
         )
     order = sorted(keys.items(), key=lambda item: (item[0] != "stand", item[0] != "home", item[1]))
     passed: list[str] = []
-    for name, index in order if asked is None else [(asked, keys[asked])]:
+    for name, index in order if chosen is None else [(chosen, keys[chosen])]:
         qpos = model.key_qpos[index].copy()
         reason = _why_not(draft, name, qpos, floor, ends, all_stand)
-        if reason is not None and asked is not None:
+        if reason is not None and chosen is not None:
             raise RobotError(f"{draft.file}: the robot does not stand in key {name!r}: {reason}.")
         if reason is not None:
             passed.append(f"Key {name!r} is passed over: {reason}.")
@@ -317,15 +317,15 @@ def _find(draft: Draft, settings: RobotSettings, floor: int, feet: Sequence[str]
     if not len(base) or int(model.jnt_type[base[0]]) != int(mujoco.mjtJoint.mjJNT_FREE):
         return None
     ids = [int(model.body(name).id) for name in feet]
-    found = home_pose.find_pose(model, root, floor, ids, AXES[settings.forward or "x"])
-    if found is None:
+    pose = home_pose.find_pose(model, root, floor, ids, AXES[settings.forward or "x"])
+    if pose is None:
         return None
-    changed = [j for j in draft.joints() if abs(found[model.jnt_qposadr[j]] - model.qpos0[model.jnt_qposadr[j]]) > 0.05]
+    changed = [j for j in draft.joints() if abs(pose[model.jnt_qposadr[j]] - model.qpos0[model.jnt_qposadr[j]]) > 0.05]
     if not changed:
         return None
-    angles = [f"{joint_name(model, j)} {found[int(model.jnt_qposadr[j])]:.2f}" for j in changed]
+    angles = [f"{joint_name(model, j)} {pose[int(model.jnt_qposadr[j])]:.2f}" for j in changed]
     draft.edit(f"The file names no standing pose; one with bent legs is found: {listed(angles, 12)} rad.")
-    return draft.pose_of(found)
+    return draft.pose_of(pose)
 
 
 def _write_pose(draft: Draft, pose: Mapping[str, np.ndarray], key: str | None, feet: Sequence[str]) -> None:

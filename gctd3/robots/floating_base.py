@@ -195,9 +195,9 @@ def find_forward(model: mujoco.MjModel, root: int, joints: list[Joint]) -> Axis:
     pose, names = standing_pose(model), [joint.name for joint in joints]
 
     def sides(axis: Axis) -> tuple[int, int]:
-        found = pair_joints(model, root, joints, pose, Base(model, root, axis).frame[1])
-        pairs = [name for name in found.placed if found.images[name] != name]
-        return len(pairs), sum(swap_side(name, names) == found.images[name] for name in pairs)
+        paired = pair_joints(model, root, joints, pose, Base(model, root, axis).frame[1])
+        pairs = [name for name in paired.placed if paired.images[name] != name]
+        return len(pairs), sum(swap_side(name, names) == paired.images[name] for name in pairs)
 
     return "y" if sides("y") > sides("x") else "x"
 

@@ -21,11 +21,11 @@ def ground_height(model: mujoco.MjModel) -> float | None:
     The ground is the highest geom that the contact sensors refer to; without such sensors the highest plane.
     """
     data = _at_reference(model)
-    told = _told(model)
+    grounds = _sensed_geoms(model)
     planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).tolist()
     heights = [
         _top(model, data, geom)
-        for geom in (told or planes)
+        for geom in (grounds or planes)
         if int(model.geom_type[geom]) in _SOLID and is_static(model, geom) and _is_level(data, geom)
     ]
     return max(heights, default=None)
@@ -43,7 +43,7 @@ def find_floor(model: mujoco.MjModel, root: int) -> int | None:
     """
     data, types = _at_reference(model), mujoco.mjtGeom
     robot = [geom for body in bodies_below(model, root) for geom in geoms_of(model, body)]
-    hfield, told = int(types.mjGEOM_HFIELD), _told(model)
+    hfield, grounds = int(types.mjGEOM_HFIELD), _sensed_geoms(model)
     below, ranked = data.xpos[root], list[tuple[int, float, int]]()
     for geom in range(model.ngeom):
         kind = int(model.geom_type[geom])
@@ -58,7 +58,7 @@ def find_floor(model: mujoco.MjModel, root: int) -> int | None:
         if not any(can_collide(model, geom, other) for other in robot):
             continue
         order = {int(types.mjGEOM_PLANE): 0, hfield: 1}.get(kind, 2)
-        ranked.append((-1 if geom in told else order, -_top(model, data, geom), geom))
+        ranked.append((-1 if geom in grounds else order, -_top(model, data, geom), geom))
     return min(ranked)[2] if ranked else None
 
 
@@ -101,7 +101,7 @@ def contact_sensors(model: mujoco.MjModel, root: int) -> dict[str, int]:
         model: The model.
         root: Index of the robot's root body.
     """
-    robot, found = set(bodies_below(model, root)), dict[str, int]()
+    robot, sensors = set(bodies_below(model, root)), dict[str, int]()
     for i in np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT):
         if not int(model.sensor_intprm[i, 0]) & _FOUND:
             continue
@@ -112,8 +112,8 @@ def contact_sensors(model: mujoco.MjModel, root: int) -> dict[str, int]:
         for own, other in (sides, sides[::-1]):
             body = _body_of(model, *own)
             if body in robot and _is_ground(model, *other):
-                found.setdefault(body_name(model, body), int(model.sensor_adr[i]))
-    return found
+                sensors.setdefault(body_name(model, body), int(model.sensor_adr[i]))
+    return sensors
 
 
 def _body_of(model: mujoco.MjModel, kind: int, index: int) -> int:
@@ -134,7 +134,7 @@ def _is_ground(model: mujoco.MjModel, kind: int, index: int) -> bool:
     return kind == int(mujoco.mjtObj.mjOBJ_UNKNOWN)
 
 
-def _told(model: mujoco.MjModel) -> list[int]:
+def _sensed_geoms(model: mujoco.MjModel) -> list[int]:
     """Return the static geoms that contact sensors name."""
     contact = model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT
     named: list[int] = []

@@ -73,10 +73,10 @@ def leg_ends(model: mujoco.MjModel, root: int, floor: int) -> list[int]:
 
 def _above(model: mujoco.MjModel, body: int) -> list[int]:
     """Return the indices of the bodies between a body and the world."""
-    found = list[int]()
+    bodies = list[int]()
     while body := int(model.body_parentid[body]):
-        found.append(body)
-    return found
+        bodies.append(body)
+    return bodies
 
 
 def stance(model: mujoco.MjModel, root: int, floor: int, qpos: np.ndarray, ends: Sequence[int]) -> Stance:
@@ -308,8 +308,8 @@ def _alike(
             away = float((places[i] - place) @ forward), float((places[i] + place) @ lateral) / 2 - middle
             if len(leg.joints) != len(other.joints) or np.abs(away).max() > 0.03:
                 continue
-            for here, there in zip(leg.joints, other.joints, strict=True):
-                a, b = int(model.jnt_qposadr[here]), int(model.jnt_qposadr[there])
+            for joint, partner in zip(leg.joints, other.joints, strict=True):
+                a, b = int(model.jnt_qposadr[joint]), int(model.jnt_qposadr[partner])
                 sign = 1.0 if abs(pose[a] - pose[b]) <= abs(pose[a] + pose[b]) else -1.0
                 even[a] = round((pose[a] + sign * pose[b]) / 2, 3)
                 even[b] = sign * even[a]
@@ -395,12 +395,10 @@ def _bend(
         bent[leg.joints.index(knee)] -= 1.0 * sign
         starts.append(np.clip(bent, low, high))
     straight_foot = np.zeros(3)
-    straight = min(
-        (_fit(lambda a: residual(a, None), start, low, high) for start in starts), key=lambda found: found[1]
-    )
+    straight = min((_fit(lambda a: residual(a, None), start, low, high) for start in starts), key=lambda fit: fit[1])
     straight_foot, _, hip, _ = reach(straight[0])
     length = BENT * float(hip[2] - straight_foot[2])
-    best = min((_fit(lambda a: residual(a, length), start, low, high) for start in starts), key=lambda found: found[1])
+    best = min((_fit(lambda a: residual(a, length), start, low, high) for start in starts), key=lambda fit: fit[1])
     moved = pose.copy()
     moved[places] = best[0]
     return moved

@@ -110,13 +110,13 @@ def _check(robot: Robot, control_dt: float) -> MirrorCheck:
     residual, ground = air, ground_height(robot.model)
     if ground is not None:
         landed = image.residual(robot.model, steps, ground)
-        residual = max(air, landed, key=lambda found: found.total)
+        residual = max(air, landed, key=lambda measured: measured.total)
     if residual.total > MOST_RESIDUAL:
-        told = masses.worst if air.total > MOST_RESIDUAL else shapes or "what touches the ground"
+        difference = masses.worst if air.total > MOST_RESIDUAL else shapes or "what touches the ground"
         return MirrorCheck(
             False,
             residual.total,
-            f"{told}: the mirror image differs by {_percent(residual.total)} of the motion of one step, at most "
+            f"{difference}: the mirror image differs by {_percent(residual.total)} of the motion of one step, at most "
             f"{_percent(MOST_RESIDUAL)} may be",
         )
     reasons = [masses.worst if masses.largest > _ALIKE else "", shapes]
@@ -162,10 +162,10 @@ class ModelReflection:
         inner, standing = read_joints(model, root, robot.path), robot.standing_qpos
         self.joints = [*_base(model, root), *inner]
         last = {leg[-1].name for leg in robot.legs if leg}
-        found = pair_joints(model, root, inner, standing, self.lateral, last)
+        pairs = pair_joints(model, root, inner, standing, self.lateral, last)
         # The task's joints mirror each other as the robot says; the others follow them.
-        images = found.images | robot.mirror
-        placed = found.placed
+        images = pairs.images | robot.mirror
+        placed = pairs.placed
         if len(placed) < len(inner):  # not all poses in which a robot stands are symmetric
             zero = zero_pose(model, inner, standing)
             placed |= pair_joints(model, root, inner, zero, self.lateral, last).placed
@@ -308,9 +308,9 @@ class ModelReflection:
         """Compare the friction and the softness of feet; their outlines come later."""
         robot, model = self.robot, self.model
         for i, k in enumerate(robot.mirror_feet):
-            here, there = (self._geoms(robot.feet[foot]) for foot in (i, k))
+            foot_geoms, image_geoms = (self._geoms(robot.feet[foot]) for foot in (i, k))
             for name, fields in _TOUCH.items():
-                one, two = ([_row(model, geom, fields) for geom in geoms] for geoms in (here, there))
+                one, two = ([_row(model, geom, fields) for geom in geoms] for geoms in (foot_geoms, image_geoms))
                 if k > i and not (len(one) == len(two) and all(map(_same, sorted(one), sorted(two)))):
                     yield f"foot {_named(robot.feet[i], robot.feet[k])}: their {name} is not the same"
 
@@ -319,10 +319,10 @@ class ModelReflection:
     @cached_property
     def links(self) -> dict[int, int]:
         """Return the mirror image of each moving part, by the index of its topmost body."""
-        model, found = self.model, {self.root: self.root}
+        model, images = self.model, {self.root: self.root}
         for joint in self.joints:
-            found[int(model.jnt_bodyid[joint.id])] = int(model.jnt_bodyid[self.partner(joint).id])
-        return found
+            images[int(model.jnt_bodyid[joint.id])] = int(model.jnt_bodyid[self.partner(joint).id])
+        return images
 
     def masses(self) -> Masses:
         """Compare masses, centres of mass and inertias of all moving parts."""
@@ -331,7 +331,7 @@ class ModelReflection:
     def shapes(self) -> str:
         """Name the foot whose outline differs most from its image's; empty if none does."""
         robot, order = self.robot, self.robot.mirror_feet
-        worst, said = _PLACED * max(1.0, self.extent), ""
+        worst, difference = _PLACED * max(1.0, self.extent), ""
         for i, k in enumerate(order):
             if k < i:
                 continue
@@ -342,12 +342,12 @@ class ModelReflection:
             one, two = (self.plane.place(points[0]) @ directions.T).max(axis=0), (points[1] @ directions.T).max(axis=0)
             away = float(np.abs(one - two).max())
             if away > worst:
-                worst, said = away, f"the outline of foot {_named(robot.feet[i], robot.feet[k])}, {_mm(away)} off"
-        return said
+                worst, difference = away, f"the outline of foot {_named(robot.feet[i], robot.feet[k])}, {_mm(away)} off"
+        return difference
 
     def _points(self, geoms: Sequence[int]) -> np.ndarray:
-        found = [geom_points(self.model, self.data, geom) for geom in geoms]
-        return np.concatenate(found) if found else np.zeros((0, 3))
+        clouds = [geom_points(self.model, self.data, geom) for geom in geoms]
+        return np.concatenate(clouds) if clouds else np.zeros((0, 3))
 
     def blame(self, residual: Residual) -> str:
         """Name the joint whose motion differs most."""
@@ -385,14 +385,14 @@ class ModelReflection:
     @cached_property
     def _frames(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
         """Return for each free joint and ball what maps its body's places onto its image's: rotation and shift."""
-        found, data = {}, self.data
+        frames, data = {}, self.data
         for joint in self.joints:
             if joint.kind in ("free", "ball"):
-                here, there = (int(self.model.jnt_bodyid[j.id]) for j in (joint, self.partner(joint)))
-                one, two = (data.xmat[body].reshape(3, 3) for body in (here, there))
-                shift = two.T @ (self.plane.place(data.xpos[here]) - data.xpos[there])
-                found[joint.id] = two.T @ self.matrix @ one, shift
-        return found
+                own, image = (int(self.model.jnt_bodyid[j.id]) for j in (joint, self.partner(joint)))
+                one, two = (data.xmat[body].reshape(3, 3) for body in (own, image))
+                shift = two.T @ (self.plane.place(data.xpos[own]) - data.xpos[image])
+                frames[joint.id] = two.T @ self.matrix @ one, shift
+        return frames
 
     def residual(self, model: mujoco.MjModel, steps: int, ground: float | None, states: int = STATES) -> Residual:
         """Compare reflecting before and after a control step, from random states.
@@ -507,28 +507,28 @@ class Masses:
         self.image, model, data = image, image.model, image.data
         owner = np.array([_owner(image, body) for body in range(model.nbody)])
         self.parts = {link: np.flatnonzero(owner == link) for link in image.links}
-        self.found = {link: _lump(model, data, bodies) for link, bodies in self.parts.items()}
-        whole = max(sum(mass for mass, *_ in self.found.values()), 1e-12)
+        self.lumps = {link: _lump(model, data, bodies) for link, bodies in self.parts.items()}
+        whole = max(sum(mass for mass, *_ in self.lumps.values()), 1e-12)
         self.largest, self.worst = 0.0, "the masses"
         for link, other in image.links.items():
             if other < link:
                 continue
-            (m, c, i), (n, d, k) = self._reflected(link), self.found[other]
+            (m, c, i), (n, d, k) = self._reflected(link), self.lumps[other]
             name = _named(body_name(model, link), body_name(model, other))
             away = float(np.linalg.norm(image.seen(c - d)))
             turned = self._inertia_gap(i, k)
             mean = 0.5 * (m + n)
             off = f"{_mm(away / 2)} off the middle" if link == other else f"{_mm(away)} off its reflection"
-            for size, said in (
+            for size, difference in (
                 (abs(m - n), f"the mass of body {name}, {m:.4g} kg and {n:.4g} kg"),
                 (mean * away / image.extent, f"the centre of mass of body {name}, {off}"),
                 (turned / image.extent**2, f"the inertia of body {name}, {turned:.2g} kg m^2 off its reflection"),
             ):
                 if size / whole > self.largest:
-                    self.largest, self.worst = size / whole, said
+                    self.largest, self.worst = size / whole, difference
 
     def _reflected(self, link: int) -> tuple[float, np.ndarray, np.ndarray]:
-        mass, centre, inertia = self.found[link]
+        mass, centre, inertia = self.lumps[link]
         return mass, self.image.plane.place(centre), self.image.matrix @ inertia @ self.image.matrix
 
     def _inertia_gap(self, one: np.ndarray, two: np.ndarray) -> float:
@@ -545,7 +545,7 @@ class Masses:
         damping = image.model.actuator_biasprm[actuators, 2]
         model.actuator_biasprm[actuators, 2] = (damping + damping[image.robot.action_mirror[0]]) / 2
         for link, other in image.links.items():
-            (m, c, i), (n, d, k) = self.found[link], self._reflected(other)
+            (m, c, i), (n, d, k) = self.lumps[link], self._reflected(other)
             mass, centre, inertia = (m + n) / 2, (c + d) / 2, (i + k) / 2
             turn = image.data.xmat[link].reshape(3, 3)
             moments, axes = np.linalg.eigh(turn.T @ inertia @ turn)
@@ -562,13 +562,14 @@ class Masses:
 
 def _base(model: mujoco.MjModel, root: int) -> list[Joint]:
     """Read the joints of the base, which are their own mirror images."""
-    found = []
+    joints = []
     for i in base_joints(model, root):
         limits = tuple(map(float, model.jnt_range[i])) if model.jnt_limited[i] else (-np.inf, np.inf)
         place = int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i])
         name = model.joint(i).name or f"joint_{i}"
-        found.append(Joint(name, None, body_name(model, root), *place, (limits[0], limits[1]), joint_kind(model, i), i))
-    return found
+        kind, body = joint_kind(model, i), body_name(model, root)
+        joints.append(Joint(name, None, body, *place, (limits[0], limits[1]), kind, i))
+    return joints
 
 
 def _owner(image: ModelReflection, body: int) -> int:

@@ -39,7 +39,7 @@ def swap_side(name: str, known: Collection[str]) -> str:
     # Front or rear, and a side.
     corner = re.sub(
         r"(?<![a-zA-Z])([FRHBfrhb])([RLrl])(?![a-zA-Z])",
-        lambda found: found[1] + {"r": "l", "l": "r", "R": "L", "L": "R"}[found[2]],
+        lambda match: match[1] + {"r": "l", "l": "r", "R": "L", "L": "R"}[match[2]],
         name,
     )
     if corner != name and corner in known:
@@ -121,18 +121,18 @@ def pair_joints(
     return _Matching(model, root, joints, pose, lateral, last).pairs()
 
 
-def reflected_sign(model: mujoco.MjModel, pose: np.ndarray, here: Joint, there: Joint, lateral: np.ndarray) -> float:
+def reflected_sign(model: mujoco.MjModel, pose: np.ndarray, joint: Joint, partner: Joint, lateral: np.ndarray) -> float:
     """Return +1 if equal angles of the two joints mirror each other, -1 if opposite ones do.
 
     Args:
         model: The model.
         pose: The :func:`zero_pose`.
-        here: A joint.
-        there: Its mirror image.
+        joint: A joint.
+        partner: Its mirror image.
         lateral: Unit vector across the sagittal plane, shape ``[3]``.
     """
     axes = _pose_of(model, pose).xaxis
-    return 1.0 if float(reflect_axes(axes[here.id], [here], lateral)[0] @ axes[there.id]) > 0.0 else -1.0
+    return 1.0 if float(reflect_axes(axes[joint.id], [joint], lateral)[0] @ axes[partner.id]) > 0.0 else -1.0
 
 
 def reflect_axes(axes: np.ndarray, joints: Sequence[Joint], lateral: np.ndarray) -> np.ndarray:
@@ -243,19 +243,19 @@ class _Matching:
         middles = self._middles(cost)
         if len(middles) > 1:  # one pair could itself be what is not symmetric
             middle = float(np.median(middles))
-            here, there = (float(np.abs(middles - offset).mean()) for offset in (best, middle))
-            if here > _ROUNDED and there < _EXACTLY * here:
+            spread, median_spread = (float(np.abs(middles - offset).mean()) for offset in (best, middle))
+            if spread > _ROUNDED and median_spread < _EXACTLY * spread:
                 best, cost = middle, self._costs(middle)
         return Plane(self.lateral, best), cost
 
     def _middles(self, cost: np.ndarray) -> np.ndarray:
         """Return the places along the lateral axis midway between pairs, whose anchors say where they are along it."""
-        told = self.balls | (np.abs(self.axes @ self.lateral) < 0.99)
+        located = self.balls | (np.abs(self.axes @ self.lateral) < 0.99)
         along, nearest = self.anchors @ self.lateral, cost.argmin(axis=1)
         pairs = [
             (i, k)
             for i, k in enumerate(nearest.tolist())
-            if i < k and told[i] and np.isfinite(cost[i, k]) and nearest[k] == i
+            if i < k and located[i] and np.isfinite(cost[i, k]) and nearest[k] == i
         ]
         return np.array([(along[i] + along[k]) / 2 for i, k in pairs])
 
@@ -268,59 +268,59 @@ class _Matching:
             level = np.triu(self.alike & (np.linalg.norm(gaps, axis=-1) <= self.near), k=1)
             along = places @ self.lateral
             middles.extend((0.5 * (along[:, None] + along[None]))[level].tolist())
-        found: list[float] = []
+        planes: list[float] = []
         left = np.array(middles)
-        while len(left) and len(found) < _PLANES:
+        while len(left) and len(planes) < _PLANES:
             votes = (np.abs(left[:, None] - left[None]) <= self.equal).sum(axis=1)
             middle = float(np.median(left[np.abs(left - left[votes.argmax()]) <= self.equal]))
-            found.append(middle)
+            planes.append(middle)
             left = left[np.abs(left - middle) > self.near]
-        return found
+        return planes
 
     # The tree.
 
     def pairs(self) -> Pairs:
         """Return the pairs."""
-        found = self._within(None)
-        images = {self.names[i]: self.names[k] for i, k in found.items()}
-        placed = frozenset(self.names[i] for i, k in found.items() if np.isfinite(self.cost[i, k]))
+        matches = self._within(None)
+        images = {self.names[i]: self.names[k] for i, k in matches.items()}
+        placed = frozenset(self.names[i] for i, k in matches.items() if np.isfinite(self.cost[i, k]))
         return Pairs(self.plane, images, placed)
 
     def _within(self, parent: str | None) -> dict[int, int]:
         """Pair the joints below one that is its own image, among one another or with themselves."""
         own = self.below.get(parent, [])
-        found: dict[int, int] = {}
+        images: dict[int, int] = {}
         for i, k in self._ranked(own, own):
-            if i in found or k in found:
+            if i in images or k in images:
                 continue
             if i == k:
-                found |= {i: i, **self._within(self.names[i])}
+                images |= {i: i, **self._within(self.names[i])}
             elif (inner := self._between(i, k)) is not None:
-                found |= inner
+                images |= inner
         for i in own:
-            if i not in found:
-                found |= {i: i, **self._within(self.names[i])}
-        return found
+            if i not in images:
+                images |= {i: i, **self._within(self.names[i])}
+        return images
 
     def _between(self, i: int, k: int) -> dict[int, int] | None:
         """Pair two joints and all below them, both ways; ``None`` if a joint below has no image."""
-        found = {i: k, k: i}
-        here, there = self.below.get(self.names[i], []), self.below.get(self.names[k], [])
-        if len(here) != len(there):
+        images = {i: k, k: i}
+        children, others = self.below.get(self.names[i], []), self.below.get(self.names[k], [])
+        if len(children) != len(others):
             return None
-        for a, b in self._ranked(here, there):
-            if a not in found and b not in found and (inner := self._between(a, b)) is not None:
-                found |= inner
-        return found if all(a in found for a in here) else None
+        for a, b in self._ranked(children, others):
+            if a not in images and b not in images and (inner := self._between(a, b)) is not None:
+                images |= inner
+        return images if all(a in images for a in children) else None
 
-    def _ranked(self, here: Sequence[int], there: Sequence[int]) -> list[tuple[int, int]]:
+    def _ranked(self, joints: Sequence[int], partners: Sequence[int]) -> list[tuple[int, int]]:
         """Return the pairs to try, the best first: by place, names deciding among equals; then by name alone."""
-        known = {self.names[k] for k in (*here, *there)}
+        known = {self.names[k] for k in (*joints, *partners)}
         ranked = []
-        for i in here:
+        for i in joints:
             other = swap_side(self.names[i], known)
-            for k in there:
-                if here is there and k < i:
+            for k in partners:
+                if joints is partners and k < i:
                     continue
                 named = k != i and self.names[k] == other
                 if np.isfinite(self.cost[i, k]):

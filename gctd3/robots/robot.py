@@ -351,15 +351,15 @@ class Robot:
 
         ``None`` if a foot has no ``<framelinvel objtype="body"/>`` sensor.
         """
-        model, found = self.model, {}
+        model, sensors = self.model, {}
         for i in range(model.nsensor):
             moves = model.sensor_type[i] == mujoco.mjtSensor.mjSENS_FRAMELINVEL
             body = model.sensor_objtype[i] in (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_XBODY)
             if moves and body and model.sensor_reftype[i] == mujoco.mjtObj.mjOBJ_UNKNOWN:
-                found[body_name(model, int(model.sensor_objid[i]))] = int(model.sensor_adr[i])
-        if any(foot not in found for foot in self.feet):
+                sensors[body_name(model, int(model.sensor_objid[i]))] = int(model.sensor_adr[i])
+        if any(foot not in sensors for foot in self.feet):
             return None
-        return np.array([found[foot] for foot in self.feet])[:, None] + np.arange(3)
+        return np.array([sensors[foot] for foot in self.feet])[:, None] + np.arange(3)
 
     @property
     def other_contact_bodies(self) -> tuple[str, ...]:

@@ -124,9 +124,9 @@ def complete_servos(
     _check_integrator(draft, gains.inertia)
 
 
-def _merged(asked: ServoSettings | None, told: ServoSettings | None) -> ServoSettings:
+def _merged(asked: ServoSettings | None, stated: ServoSettings | None) -> ServoSettings:
     """Return what settings ask of a servo, and where they ask nothing, what the file says of it."""
-    first, second = asked or ServoSettings(), told or ServoSettings()
+    first, second = asked or ServoSettings(), stated or ServoSettings()
     values = {f.name: getattr(first, f.name) for f in fields(ServoSettings)}
     return ServoSettings(**{n: v if v is not None else getattr(second, n) for n, v in values.items()})
 

@@ -89,9 +89,9 @@ class RobotSettings:
     def within(self, limits: Mapping[str, Mapping[str, float]]) -> RobotSettings:
         """Add what a file says of single joints' servos where their patterns leave it to the file."""
         servos = {}
-        for joint, said in limits.items():
-            asked = next((s for pattern, s in self.servos.items() if fnmatchcase(joint, pattern)), ServoSettings())
-            servos[joint] = replace(asked, **{key: v for key, v in said.items() if getattr(asked, key) is None})
+        for joint, stated in limits.items():
+            fitting = next((s for pattern, s in self.servos.items() if fnmatchcase(joint, pattern)), ServoSettings())
+            servos[joint] = replace(fitting, **{key: v for key, v in stated.items() if getattr(fitting, key) is None})
         # Joints first: of the patterns that fit, the first counts.
         return replace(self, servos=servos | {key: s for key, s in self.servos.items() if key not in servos})
 

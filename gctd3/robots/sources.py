@@ -163,8 +163,8 @@ def is_installed(package: str) -> bool:
 
 def pip_name(package: str) -> str:
     """Return the name by which pip knows a package."""
-    found = _distribution(package)
-    name: str = found.metadata["Name"] if found else package
+    distribution = _distribution(package)
+    name: str = distribution.metadata["Name"] if distribution else package
     return name.replace("_", "-")
 
 
@@ -187,12 +187,12 @@ def files_of(file: Path) -> list[Path]:
                     texts += [path for path in [file.parent / name] if path not in texts and path.is_file()]
                 elif element.tag in _FOLDERS and key.startswith("file") and key != "filename":
                     assets.append((element.tag, name))
-    found = []
+    files = []
     for kind, name in assets:
         name = Path(name).name if folders.get("strippath") == "true" else name
         inside = folders.get(_FOLDERS[kind]) or folders.get("assetdir") or ""
-        found += [path for path in [file.parent / inside / name] if path.is_file()]
-    return [*texts, *dict.fromkeys(found)]
+        files += [path for path in [file.parent / inside / name] if path.is_file()]
+    return [*texts, *dict.fromkeys(files)]
 
 
 def _elements(file: Path) -> Iterator[ElementTree.Element]:
@@ -242,10 +242,10 @@ def _folder(package: str) -> Path | None:
     if not package.isidentifier():
         return None
     try:
-        found = find_spec(package)
+        spec = find_spec(package)
     except (ImportError, ValueError):
         return None
-    places = list(found.submodule_search_locations or []) if found else []
+    places = list(spec.submodule_search_locations or []) if spec else []
     return Path(places[0]) if places else None
 
 
@@ -259,9 +259,9 @@ def _in_package(package: str, path: str, place: str) -> Source:
         files = (distribution.files if distribution else None) or []
         listed = [p for p in files if p.as_posix().endswith(f"/{path}")]
         file = Path(str(listed[0].locate())).resolve() if len(listed) == 1 else None
-    said = f" {distribution.version}" if distribution else ""
+    version = f" {distribution.version}" if distribution else ""
     if file is None or not file.is_file():
-        raise RobotError(f"{place}: the package {package}{said} has no file {path!r}.{_nearest(folder, path)}")
+        raise RobotError(f"{place}: the package {package}{version} has no file {path!r}.{_nearest(folder, path)}")
     _check_format(file)
     # Up to the package's own folder; of files elsewhere the folder above holds what is the robot's.
     inside = [p for p in file.parents if folder in (p, *p.parents)] or [file.parent, file.parent.parent]
@@ -283,8 +283,8 @@ def _nearest(folder: Path | None, path: str) -> str:
 
 def _licence_of(about: metadata.PackageMetadata) -> str | None:
     classifiers = [line.rpartition(" :: ")[2] for line in about.get_all("Classifier") or [] if "License ::" in line]
-    said = [about[key] for key in ("License-Expression", "License") if key in about]
-    return next((text.splitlines()[0] for text in (*said, *classifiers) if text.strip()), None)
+    licences = [about[key] for key in ("License-Expression", "License") if key in about]
+    return next((text.splitlines()[0] for text in (*licences, *classifiers) if text.strip()), None)
 
 
 def _stated(*folders: Path) -> str | None:
@@ -331,7 +331,7 @@ def _in_menagerie(name: str) -> Source:
 
 def _in_descriptions(name: str) -> Source:
     place = f"{DESCRIPTION}:{name}"
-    known = [found.name for found in pkgutil.iter_modules(_downloader(place, "robot_descriptions").__path__)]
+    known = [entry.name for entry in pkgutil.iter_modules(_downloader(place, "robot_descriptions").__path__)]
     if name not in known or not name.endswith("_description"):
         raise RobotError(f"{place}: robot_descriptions has no module {name!r}.{suggest(name, known)}")
     try:

@@ -58,8 +58,8 @@ def collision_meshes(file: Path) -> list[Path]:
         root = ElementTree.parse(file).getroot()
     except (OSError, ElementTree.ParseError):
         return []
-    found = (_find_mesh(mesh.get("filename", ""), file) for mesh in root.iterfind("link/collision/geometry/mesh"))
-    return [path for path in found if path is not None]
+    paths = (_find_mesh(mesh.get("filename", ""), file) for mesh in root.iterfind("link/collision/geometry/mesh"))
+    return [path for path in paths if path is not None]
 
 
 def read_urdf(file: Path) -> URDF:
@@ -173,9 +173,9 @@ def _take_meshes(root: ElementTree.Element, file: Path, notes: list[str]) -> lis
 
 def _find_mesh(name: str, file: Path) -> Path | None:
     """Find a mesh by its name in a URDF."""
-    said = next((path for path in _candidates(name, file.absolute()) if path.is_file()), None)
-    if said is not None:
-        return said
+    named = next((path for path in _candidates(name, file.absolute()) if path.is_file()), None)
+    if named is not None:
+        return named
     # Packages move their meshes and leave the names in the file as they were.
     base = re.split(r"[/\\\\]", name)[-1]
     near = {
@@ -200,8 +200,8 @@ def _candidates(name: str, file: Path) -> Iterator[Path]:
             yield Path(prefix) / share / package / inside
             if Path(prefix).name == package:
                 yield Path(prefix) / inside
-    found = find_spec(package) if package.isidentifier() else None
-    for place in (found.submodule_search_locations or []) if found else []:
+    spec = find_spec(package) if package.isidentifier() else None
+    for place in (spec.submodule_search_locations or []) if spec else []:
         yield Path(place) / inside
     # A package whose folder has another name.
     for folder in file.parents:
@@ -242,13 +242,13 @@ def _collada_points(root: ElementTree.Element) -> np.ndarray:
     placed: list[np.ndarray] = []
 
     def walk(node: ElementTree.Element, above: np.ndarray) -> None:
-        here = above
+        place = above
         for step in node:
-            here = here @ _collada_step(step)
+            place = place @ _collada_step(step)
         shown = [clouds[instance.attrib["url"]] for instance in node.iterfind("c:instance_geometry", _COLLADA)]
-        placed.extend(cloud @ here[:3, :3].T + here[:3, 3] for cloud in shown)
+        placed.extend(cloud @ place[:3, :3].T + place[:3, 3] for cloud in shown)
         for child in node.iterfind("c:node", _COLLADA):
-            walk(child, here)
+            walk(child, place)
 
     for node in root.iterfind("c:library_visual_scenes/c:visual_scene/c:node", _COLLADA):
         walk(node, np.eye(4))
@@ -327,8 +327,8 @@ def _fix_massless(root: ElementTree.Element, file: Path, notes: list[str]) -> No
         below.setdefault("" if parent is None else parent.get("link", ""), []).append(joint)
 
     def child(joint: ElementTree.Element) -> str:
-        found = joint.find("child")
-        return "" if found is None else found.get("link", "")
+        element = joint.find("child")
+        return "" if element is None else element.get("link", "")
 
     def has_mass(link: str, rigid: bool, seen: frozenset[str] = frozenset()) -> bool:
         """Tell whether a link has a mass, or one below it; with ``rigid`` only those fixed to it count."""
@@ -432,23 +432,23 @@ def _free(spec: mujoco.MjSpec, root: ElementTree.Element, file: Path, notes: lis
 
 def _limits(spec: mujoco.MjSpec, root: ElementTree.Element, notes: list[str]) -> dict[str, dict[str, float]]:
     """Take the limits of torque off the joints, for their servos to keep; those of 0 say nothing."""
-    found, silent = dict[str, dict[str, float]](), list[str]()
+    by_joint, silent = dict[str, dict[str, float]](), list[str]()
     for joint in spec.joints:
         joint.actfrclimited, joint.actfrcrange = mujoco.mjtLimited.mjLIMITED_FALSE, [0.0, 0.0]
     for joint in root.iterfind("joint"):
         if joint.get("type") not in ("revolute", "continuous", "prismatic") or joint.find("mimic") is not None:
             continue
         limit, name = joint.find("limit"), joint.get("name", "")
-        said = {} if limit is None else limit.attrib
-        stated = {"effort": said.get("effort"), "velocity_limit": said.get("velocity")}
-        found[name] = {key: value for key, text in stated.items() if (value := abs(float(text or 0.0))) > 0.0}
-        if "effort" not in found[name]:
+        attributes = {} if limit is None else limit.attrib
+        stated = {"effort": attributes.get("effort"), "velocity_limit": attributes.get("velocity")}
+        by_joint[name] = {key: value for key, text in stated.items() if (value := abs(float(text or 0.0))) > 0.0}
+        if "effort" not in by_joint[name]:
             silent.append(name)
-    if len(found) > len(silent):
+    if len(by_joint) > len(silent):
         notes.append("The limits of torque are the servos', not the joints'.")
     if silent:
         notes.append(f"{_some(silent)} state no limit of torque (effort).")
-    return {name: limits for name, limits in found.items() if limits}
+    return {name: limits for name, limits in by_joint.items() if limits}
 
 
 def _numbers(text: str | None, file: Path) -> tuple[float, ...]:

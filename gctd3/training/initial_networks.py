@@ -26,18 +26,18 @@ def begin_from(algorithm: Algorithm, run: Path) -> int:
     """
     if not run.is_dir():
         raise RunError(f"init={run}: there is no such directory; a run's directory is expected.")
-    found = Checkpoints(run).newest()
-    if found is None:
+    newest = Checkpoints(run).newest()
+    if newest is None:
         raise RunError(f"init={run}: it has no checkpoint to begin from.")
-    state, _ = found
+    state, _ = newest
     given, own = state["algorithm"]["loss"], algorithm.loss.state_dict()
     for name, values in own.items():
         if name not in given:
             raise RunError(f"init={run}: its networks have no {name}; the algorithm and the network must be the same.")
-        there = getattr(given[name], "shape", None)
-        if there != getattr(values, "shape", None):
+        shape = getattr(given[name], "shape", None)
+        if shape != getattr(values, "shape", None):
             raise RunError(
-                f"init={run}: its {name} has shape {list(there or [])}, this training's {list(values.shape)}. The "
+                f"init={run}: its {name} has shape {list(shape or [])}, this training's {list(values.shape)}. The "
                 "network's sizes and what a node observes must be the same, and the joints unless they share weights."
             )
     fit(run, lambda: algorithm.loss.load_state_dict(given))

@@ -381,8 +381,8 @@ def test_servos_with_a_gear_reach_the_angle_that_is_asked_for():
     np.testing.assert_array_equal(robot.model.actuator_gear[:, 0], 1)
     np.testing.assert_allclose(robot.action_range, raw.actuator_ctrlrange / 2)
     # The same physics: half of what the servo with the gear is told.
-    a, b, told = mujoco.MjData(raw), mujoco.MjData(robot.model), np.array([0.3, -0.5, 0.2, -0.4])
-    a.ctrl[:], b.ctrl[:] = told, told / 2
+    a, b, targets = mujoco.MjData(raw), mujoco.MjData(robot.model), np.array([0.3, -0.5, 0.2, -0.4])
+    a.ctrl[:], b.ctrl[:] = targets, targets / 2
     for data in (a, b):
         data.qpos[:] = robot.standing_qpos
     for _ in range(40):

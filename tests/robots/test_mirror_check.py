@@ -279,21 +279,21 @@ def random_robot(seed, change=None):
                     if rng.integers(2):
                         about, limits = -about, [-high, -low]
                     gear = int(rng.choice([1, -1]))
-                said = {"kp": kp, "damping": damping, "armature": 0.01, "mass": mass, "range": limits, "axis": about}
-                said["force"], said["at"] = 30.0, np.zeros(3)
+                values = {"kp": kp, "damping": damping, "armature": 0.01, "mass": mass, "range": limits, "axis": about}
+                values["force"], values["at"] = 30.0, np.zeros(3)
                 if side < 0 and change is not None and (pair, depth) == perturbed:
-                    said = {key: change[1](value) if key == change[0] else value for key, value in said.items()}
+                    values = {key: change[1](value) if key == change[0] else value for key, value in values.items()}
                 joint = f"{name}_{pair}_{depth}"
                 text += f"""<body name="link_{joint}" pos="{numbers(*place)}">
-                  <joint name="{joint}" axis="{numbers(*said["axis"])}" pos="{numbers(*said["at"])}"
-                    range="{numbers(*said["range"])}" damping="{numbers(said["damping"])}"
-                    armature="{numbers(said["armature"])}"/>
-                  <geom type="capsule" fromto="0 0 0 {numbers(*out)}" size="0.02" mass="{numbers(said["mass"])}"
+                  <joint name="{joint}" axis="{numbers(*values["axis"])}" pos="{numbers(*values["at"])}"
+                    range="{numbers(*values["range"])}" damping="{numbers(values["damping"])}"
+                    armature="{numbers(values["armature"])}"/>
+                  <geom type="capsule" fromto="0 0 0 {numbers(*out)}" size="0.02" mass="{numbers(values["mass"])}"
                     contype="1" conaffinity="0"/>"""
                 drawn = limits if gear > 0 else [-limits[1], -limits[0]]
                 actuators.append(
-                    f'<position name="servo_{joint}" joint="{joint}" kp="{numbers(said["kp"])}" kv="1" gear="{gear}" '
-                    f'ctrlrange="{numbers(*drawn)}" forcerange="{numbers(-said["force"], said["force"])}"/>'
+                    f'<position name="servo_{joint}" joint="{joint}" kp="{numbers(values["kp"])}" kv="1" gear="{gear}" '
+                    f'ctrlrange="{numbers(*drawn)}" forcerange="{numbers(-values["force"], values["force"])}"/>'
                 )
                 place, close = out, close + "</body>"
             bodies.append(text + close)

@@ -214,8 +214,8 @@ def test_it_is_mirrored_where_the_sides_are_alike(tmp_path, capsys):
 
 
 def test_one_actuator_without_an_image_refuses_no_training(tmp_path, capsys):
-    lonely = FREE_LEGS.replace('<position name="hip_l" joint="hip_l" ctrlrange="-1 1"/>', "")
-    file = write(tmp_path, lonely)
+    unpaired = FREE_LEGS.replace('<position name="hip_l" joint="hip_l" ctrlrange="-1 1"/>', "")
+    file = write(tmp_path, unpaired)
     assert (train(tmp_path / "run", f"robot={file}") / "progress.csv").is_file()
     said = "mirror: off, for joint 'hip_r': it has an actuator, its mirror image 'hip_l' has none"
     assert said in capsys.readouterr().out

@@ -117,8 +117,8 @@ def test_two_legs(tmp_path):
 
 
 def test_what_is_asked_of_a_servo_comes_before_the_files_limits(tmp_path):
-    asked = {"hip_r": ServoSettings(effort=5.0), "hip_*": ServoSettings(stiffness=20.0)}
-    servos = RobotSettings(servos=asked).within(read(tmp_path, LEGS).limits).servos
+    patterns = {"hip_r": ServoSettings(effort=5.0), "hip_*": ServoSettings(stiffness=20.0)}
+    servos = RobotSettings(servos=patterns).within(read(tmp_path, LEGS).limits).servos
     assert servos["hip_r"] == ServoSettings(effort=5.0, velocity_limit=9.0)
     assert servos["hip_l"] == ServoSettings(stiffness=20.0, effort=7.0, velocity_limit=9.0)
     # In order: patterns come after the joints that they would cover.
