@@ -42,7 +42,7 @@ _USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, Mem
 def command(
     config: str,
     task: Callable[[DictConfig], object],
-    rewrite: Callable[[str], list[str]] = lambda argument: [argument],
+    rewrite: Callable[[list[str]], list[str]] = list,
     may_change: Sequence[str] = (),
 ) -> None:
     """Run ``task`` on the configuration that the command line asks for; exit with 2 after a message if it is wrong.
@@ -50,7 +50,7 @@ def command(
     Args:
         config: Name of the root YAML in ``conf/``.
         task: Function of the resolved configuration; its return value goes to Hydra's sweeper.
-        rewrite: Function of an argument that returns what Hydra reads in its place.
+        rewrite: Function of the arguments that returns those for Hydra.
         may_change: Keys that the command line may change, if it continues a run.
     """
     heard = Interruption()
@@ -68,7 +68,7 @@ def command(
 def _run(
     config: str,
     task: Callable[[DictConfig], object],
-    rewrite: Callable[[str], list[str]],
+    rewrite: Callable[[list[str]], list[str]],
     may_change: Sequence[str],
 ) -> None:
     check_installed()
@@ -81,7 +81,7 @@ def _run(
     # Makes Hydra raise its errors, which are reported below in the library's words, instead of printing and exiting.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
-        sys.argv[1:] = [read for argument in sys.argv[1:] for read in rewrite(argument)]
+        sys.argv[1:] = rewrite(sys.argv[1:])
         hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
     except BrokenPipeError:
         _unread()
@@ -142,7 +142,7 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
     @functools.wraps(task)
     def guarded(settings: DictConfig) -> object:
         try:
-            _check_overrides(settings, HydraConfig.get().overrides.task)
+            _check_overrides(settings, HydraConfig.get().overrides.task, config)
             return task(settings)
         except BrokenPipeError:
             _unread()
@@ -157,7 +157,7 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
     return guarded
 
 
-def _check_overrides(settings: DictConfig, overrides: Iterable[str]) -> None:
+def _check_overrides(settings: DictConfig, overrides: Iterable[str], config: str) -> None:
     """Raise a :class:`.ConfigError` if an override does nothing, or fills a group of which no option was chosen."""
     for override in map(str, overrides):
         key, _, value = override.lstrip("+~").partition("=")
@@ -169,9 +169,11 @@ def _check_overrides(settings: DictConfig, overrides: Iterable[str]) -> None:
             raise ConfigError(
                 f"{override} removes nothing, since it is merged with what is there. Leave out each: {' '.join(each)}"
             )
+    # Options may have keys for other commands, too, as a robot's for its training.
+    own = {choice.name for choice in choices(command_of(config))}
     for group in map(str, settings):
         value = OmegaConf.select(settings, group, throw_on_missing=False)
-        if isinstance(value, DictConfig) and TARGET not in value and chooses(f"{group}="):
+        if isinstance(value, DictConfig) and TARGET not in value and group in own and chooses(f"{group}="):
             raise ConfigError(_unchosen(group))
 
 

@@ -73,7 +73,7 @@ class DMTask(base.Task):
         return specs.BoundedArray((len(self.task.robot.actuated),), np.float64, -1.0, 1.0, name=names)
 
     def before_step(self, action: np.ndarray, physics: Physics) -> None:
-        """Command the desired angles of the action."""
+        """Send the desired angles of the action to the servos."""
         self._action = action
         physics.set_control(self.task.robot.desired_angles(action))
 

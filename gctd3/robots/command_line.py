@@ -8,15 +8,22 @@ from gctd3.config.help import conf
 from gctd3.errors import ConfigError
 
 FREE = "free"  # the option for a robot of one's own whose base is free
+_LIBRARY = "library"  # the option with which all tasks of other libraries begin
 
 
-def robot_file(argument: str) -> list[str]:
-    """Return what Hydra reads in place of an argument that gives ``robot`` a file or several; any other as it is.
+def robot_file(arguments: list[str]) -> list[str]:
+    """Return arguments for Hydra, with an option and a name in place of a file, or several, that ``robot`` is given.
 
     Raises:
         RobotError: If there is no such file.
         ConfigError: If several need different options.
     """
+    tasks = [argument.removeprefix("task=") for argument in arguments if argument.startswith("task=")]
+    library = bool(tasks) and _brings_its_robot(tasks[-1])
+    return [part for argument in arguments for part in _rewritten(argument, library)]
+
+
+def _rewritten(argument: str, library: bool) -> list[str]:
     key, _, value = argument.partition("=")
     places = value.split(",")
     if key != "robot" or not any(map(_is_file, places)):
@@ -30,6 +37,8 @@ def robot_file(argument: str) -> list[str]:
             raise ConfigError(f"{argument}: {place} is an option and others are files; run them one by one.")
     # Quoted, so that a path may hold what Hydra's grammar would read as its own.
     rewritten = ["robot.name=" + ",".join("'" + place.replace("'", "\\'") + "'" for place in places)]
+    if library:
+        return rewritten  # which the task refuses
     free = [floats(find_place(place).file) for place in places]
     if any(free) and not all(free):
         floating, fixed = places[free.index(True)], places[free.index(False)]
@@ -38,6 +47,20 @@ def robot_file(argument: str) -> list[str]:
             "run them one by one."
         )
     return [f"robot={FREE}", *rewritten] if all(free) else rewritten
+
+
+def _brings_its_robot(task: str) -> bool:
+    """Tell whether an option that ships with gctd3 is a task of another library."""
+    if task == _LIBRARY:
+        return True
+    file = conf().joinpath("task", f"{task}.yaml")
+    if not file.is_file():
+        return False
+    # Imported late, so that --help is answered at once.
+    from gctd3.config.presets import read
+
+    base = read(file).base
+    return base is not None and _brings_its_robot(base)
 
 
 def _is_file(place: str) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -31,7 +32,10 @@ from gctd3.robots.ground import (
 from gctd3.robots.held_joints import hold_joints
 from gctd3.robots.mjcf import base_joints, bodies_below, body_name, driven_joints, joint_name, standing_pose
 from gctd3.robots.servos import complete_servos, joint_id
-from gctd3.robots.settings import RobotSettings, ServoSettings
+
+if TYPE_CHECKING:
+    from gctd3.robots.servo_settings import ServoSettings
+    from gctd3.robots.settings import RobotSettings
 
 _ABOVE, _BELOW = 0.02, -0.005  # m: how far a key's feet may be from the ground
 

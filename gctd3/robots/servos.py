@@ -16,7 +16,7 @@ from gctd3.errors import RobotError
 from gctd3.robots.actuators import is_position_servo
 from gctd3.robots.draft import Draft, first_fitting, listed, spread
 from gctd3.robots.mjcf import joint_kind, joint_name
-from gctd3.robots.settings import ServoSettings
+from gctd3.robots.servo_settings import ServoSettings
 
 FREQUENCY = 2 * np.pi * 10.0  # rad/s
 DAMPING_RATIO = 2.0

@@ -139,7 +139,9 @@ class RobotFacts:
         """Return the ends of a share of each joint's range about its middle, infinite for none, each ``[J]`` (rad)."""
         low, high = self.ranges.T
         limited = np.isfinite(high - low)
-        middle, half = np.where(limited, (low + high) / 2, 0.0), np.where(limited, share * (high - low) / 2, np.inf)
+        # Half a range at a time: one end of none is minus infinity, and their sum no number.
+        low, high = np.where(limited, low, 0.0), np.where(limited, high, 0.0)
+        middle, half = (low + high) / 2, np.where(limited, share * (high - low) / 2, np.inf)
         return middle - half, middle + half
 
     def size(self, dimension: int | str) -> int:

@@ -128,7 +128,7 @@ def test_an_import_that_a_signal_breaks_off_is_no_missing_package(capsys, monkey
         except KeyboardInterrupt:
             raise ImportError("numpy is broken") from None
 
-    monkeypatch.setattr("gctd3.robots.robot.Robot.from_mjcf", broken)
+    monkeypatch.setattr("gctd3.robots.load.load_robot", broken)
     assert command("graph", "robot=biped") == 143
     error = capsys.readouterr().err
     assert error.endswith("\nInterrupted.\n") and "numpy" not in error

@@ -46,7 +46,9 @@ def test_an_option_composes():
     with initialize_config_module("gctd3.conf", version_base="1.3"):
         settings: TrainSettings = build(OmegaConf.masked_copy(composed := compose("config", ["robot=g1"]), [*composed]))
     assert settings.robot == robot_of("g1")
-    assert settings.task.terminations["long_contact"].steps == OPTIONS["quadruped"].task.terminations.long_contact.steps
+    # With the settings of a free base.
+    assert settings.task.features["angle"].from_home and "long_contact" not in settings.reward.terms
+    assert settings.exploration.learning_starts == OPTIONS["free"].exploration.learning_starts
 
 
 def test_patterns_fit_the_files_that_are_installed():

@@ -18,6 +18,7 @@ from gctd3.data.settings import ExplorationSettings, InlineSettings, ReplaySetti
 from gctd3.errors import ConfigError
 from gctd3.evaluation.settings import Perturbations
 from gctd3.nn.settings import Network
+from gctd3.robots.command_line import FREE
 from gctd3.robots.settings import RobotSettings
 from gctd3.runs.settings import EvaluateSettings
 from gctd3.tasks.reward import Reward
@@ -45,7 +46,9 @@ def test_there_is_something_to_test():
 
 @pytest.mark.parametrize("group, option", [option for option in OPTIONS if option != ("reward", "empty")])
 def test_every_option_builds(group, option):
-    assert isinstance(build(composed(f"{group}={option}")), TrainSettings)
+    # One for a robot of one's own lacks its file alone.
+    name = ["robot.name=quadruped"] if (group, option) == ("robot", FREE) else []
+    assert isinstance(build(composed(f"{group}={option}", *name)), TrainSettings)
 
 
 def test_an_empty_reward_is_there_to_be_filled():

@@ -9,6 +9,7 @@ import pytest
 import torch
 from compositions import library_env, library_task
 from dm_control import suite
+from robots import FREE_LEGS, write
 from running import command, rows, tiny, train
 from tensordict import TensorDict
 
@@ -150,6 +151,8 @@ def test_feet_and_forward_are_those_named(tmp_path, capsys):
         ("robot.feet=[torso]", "foot 'torso' hangs on no joint"),
         ("robot.name=quadruped", "robot.name must be left at biped for a library's task, got 'quadruped'"),
         ("robot=my.xml", "got 'my.xml': the task brings its own robot"),
+        # On a free base, which other tasks train with settings of its own.
+        (f"robot={write(tmp_path, FREE_LEGS)}", "robot.xml': the task brings its own robot"),
     ]:
         wrong = tiny(tmp_path / "wrong", "task=walker2d", wrong, *FEW, without=WITHOUT)
         assert command("train", *wrong) == 2

@@ -13,7 +13,8 @@ from gctd3.errors import RobotError
 from gctd3.robots.completion import complete
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
-from gctd3.robots.settings import RobotSettings, ServoSettings
+from gctd3.robots.servo_settings import ServoSettings
+from gctd3.robots.settings import RobotSettings
 
 CASES = Path(__file__).parent / "cases"
 SHIPPED = ("biped", "biped_planar", "quadruped", "hexapod")
@@ -162,7 +163,8 @@ def test_shanks_that_carry_a_ball_get_feet_of_their_own(tmp_path):
     path = dog(tmp_path)
     robot, before = RobotSettings(name=str(path)).load(), mujoco.MjModel.from_xml_path(str(path))
     assert robot.feet == ("ball_fl", "ball_fr", "ball_hl", "ball_hr")
-    assert {"shank_fl", "thigh_fl", "trunk"} <= set(robot.other_contact_bodies)
+    assert robot.shanks == ("shank_fl", "shank_fr", "shank_hl", "shank_hr")
+    assert {"thigh_fl", "trunk"} <= set(robot.other_contact_bodies)
     same_dynamics(before, robot.model)
 
 

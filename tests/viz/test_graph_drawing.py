@@ -55,7 +55,9 @@ def test_command_writes_svg_and_png(tmp_path, monkeypatch, capsys):
     assert "feet foot_left" in capsys.readouterr().out
     with Image.open(tmp_path / "biped.png") as image:
         assert len(image.convert("RGB").getcolors(1 << 20)) > 50
-    assert command("graph", "robot=biped", "out=null") == 0
+    # Options of robots have keys of a training, too.
+    for robot in ("biped", "quadruped"):
+        assert command("graph", f"robot={robot}", "out=null") == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ant.svg", "biped.png"]
 
 
