@@ -320,7 +320,7 @@ def _find(draft: Draft, settings: RobotSettings, floor: int, feet: Sequence[str]
     base = base_joints(model, root)
     if not len(base) or int(model.jnt_type[base[0]]) != int(mujoco.mjtJoint.mjJNT_FREE):
         return None
-    ids = [int(model.body(name).id) for name in feet]
+    ids = [draft.body_id(name) for name in feet]
     pose = home_pose.find_pose(model, root, floor, ids, AXES[settings.forward or "x"])
     if pose is None:
         return None
@@ -390,7 +390,7 @@ def _servos(
 ) -> None:
     model = draft.model
     qpos = model.qpos0.copy() if pose is None else draft.qpos_of(pose)
-    ids = [int(model.body(name).id) if name else 0 for name in feet]
+    ids = [draft.body_id(name) if name else 0 for name in feet]
     load = home_pose.carried_load(model, qpos, ids, floor)
     complete_servos(draft, qpos, load, settings.servos, limits)
 

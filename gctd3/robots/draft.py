@@ -98,6 +98,10 @@ class Draft:
         robot, base = set(bodies_below(self.model, self.root)), set(base_joints(self.model, self.root))
         return [j for j in range(self.model.njnt) if int(self.model.jnt_bodyid[j]) in robot and j not in base]
 
+    def body_id(self, name: str) -> int:
+        """Return the index of a body of the robot by the name that :func:`.body_name` gives it."""
+        return next(b for b in bodies_below(self.model, self.root) if body_name(self.model, b) == name)
+
     def spec_joint(self, joint: int) -> mujoco.MjsJoint:
         """Return the file's element of a joint of :attr:`model`."""
         return next(part for part in self.spec.joints if part.id == joint)

@@ -66,7 +66,7 @@ def test_command_writes_svg_and_png(tmp_path, monkeypatch, capsys):
     [
         (("out=graph.pdf",), "out must end in .svg or .png"),
         (("out=nowhere/graph.svg",), "there is no folder"),
-        (("feet=[toe]",), "no body 'toe'"),
+        (("feet=[toe]",), "no body, geom or site 'toe'"),
         (("robot=none.xml",), "No MJCF file at none.xml"),
         (("siz=3",), "Did you mean 'size'"),
     ],
