@@ -115,8 +115,8 @@ class Stepping(torch.nn.Module):
         tried = ended & (self.age > 0)
         fitness = self.last - self.start - self._penalty * fell
         self.fitness.copy_(torch.where(tried, self.fitness - self.FORGET * self.fitness.abs(), self.fitness))
-        fitter = tried & (fitness > self.fitness.nan_to_num(-math.inf))
-        self.fitness.copy_(torch.where(fitter, fitness, self.fitness.nan_to_num(-math.inf)))
+        fitter = tried & (fitness > self.fitness)
+        self.fitness.copy_(torch.where(fitter, fitness, self.fitness))
         children = self._children(len(ended))
         for name, (_, _, paired) in self.GENES.items():
             best, now = getattr(self, f"best_{name}"), getattr(self, name)

@@ -1,0 +1,137 @@
+"""The warm-up whose feet step: where feet go, how gaits evolve, and that it can be continued."""
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from gctd3.data.stepping import Stepping
+from gctd3.envs.simulation import Simulation
+from gctd3.robots.settings import RobotSettings
+from gctd3.tasks.terminations import Fall
+from gctd3.tasks.walk import WalkingTask, WalkSettings, paper_terminations
+
+
+@pytest.fixture(scope="module")
+def quadruped():
+    return RobotSettings("quadruped", action_scale=0.5).load()
+
+
+def stepping(robot, robots=4, trial=0.2):
+    torch.manual_seed(0)
+    return Stepping(robot, robots, trial, 0.02)
+
+
+def foot_places(robot, action):
+    """Return the places of the feet in the base's frame (m) where every joint is at its desired angle: by MuJoCo."""
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.standing_qpos
+    data.qpos[[robot.joint(name).qpos for name in robot.actuated]] = robot.desired_angles(action)
+    mujoco.mj_kinematics(robot.model, data)
+    return np.array([robot.base.frame @ robot.foot_place(data, foot) for foot in robot.feet])
+
+
+def test_a_foot_goes_where_the_path_says(quadruped):
+    """Small displacements, as asked of the feet, are those that MuJoCo's kinematics give; other feet stay."""
+    gaits, still = stepping(quadruped), np.zeros(len(quadruped.actuated))
+    home = foot_places(quadruped, still)
+    for foot in range(len(quadruped.feet)):
+        for axis in (0, 2):
+            asked = np.zeros((1, len(quadruped.feet), 3))
+            asked[0, foot, axis] = 0.005
+            action = torch.einsum("nfd,fda->na", torch.from_numpy(asked).float(), gaits.joints)[0].numpy()
+            moved = foot_places(quadruped, action) - home
+            # Hardly bent legs cannot lift a foot without endless angles, which the damping holds back.
+            assert moved[foot, axis] == pytest.approx(0.005, rel=0.1 if axis == 0 else 0.4)
+            others = np.delete(moved, foot, axis=0)
+            assert np.abs(others).max() < 1e-9
+
+
+def test_left_and_right_feet_step_half_a_period_apart(quadruped):
+    gaits = stepping(quadruped)
+    first, other = 0, quadruped.mirror_feet[0]
+    assert other != first
+    genes = {name: getattr(gaits, name).clone() for name in gaits.GENES}
+    genes["sway"] = torch.zeros_like(genes["sway"])
+    now, later = (gaits._act(genes, torch.full((4,), cycles)) for cycles in (0.3, 0.8))
+    order, sign = quadruped.action_mirror
+    mirrored = torch.from_numpy(sign).float() * later[:, torch.from_numpy(order)]
+    torch.testing.assert_close(now, mirrored, rtol=1e-4, atol=1e-4)
+
+
+def test_the_fitter_gaits_are_remembered_and_inherited(quadruped):
+    """Told distances make a gait fit: the memory of each robot holds its best trial, less what it forgets."""
+    gaits = stepping(quadruped, trial=0.1)
+    begins, nothing = torch.ones(4, dtype=torch.bool), torch.zeros(4, dtype=torch.bool)
+    gaits(begins, torch.zeros(4))
+    tried = gaits.frequency.clone()
+    speeds = torch.tensor([0.0, 1.0, 2.0, 3.0])
+    # A trial of 0.1 s lasts five control steps.
+    for step in range(1, 6):
+        gaits(nothing, 0.1 * step * speeds)
+    torch.testing.assert_close(gaits.fitness, 0.5 * speeds)
+    torch.testing.assert_close(gaits.best_frequency, tried)
+    # A second trial that stands still leaves the memory, which fades by a fiftieth.
+    for _ in range(5):
+        gaits(nothing, 0.5 * speeds)
+    torch.testing.assert_close(gaits.fitness, 0.98 * 0.5 * speeds)
+    torch.testing.assert_close(gaits.best_frequency, tried)
+
+
+def test_a_fall_makes_a_gait_less_fit(quadruped):
+    gaits = stepping(quadruped, trial=0.1)
+    begins, nothing = torch.ones(4, dtype=torch.bool), torch.zeros(4, dtype=torch.bool)
+    gaits(begins, torch.zeros(4))
+    gaits(nothing, torch.ones(4))
+    gaits(torch.tensor([True, False, False, False]), torch.zeros(4))
+    assert gaits.fitness[0] == pytest.approx(1.0 - 0.5 * 0.1 * quadruped.leg_length)
+    assert not gaits.fitness[1:].isfinite().any()
+
+
+def test_genes_stay_within_their_bounds(quadruped):
+    gaits = stepping(quadruped, robots=32, trial=0.02)
+    position = torch.zeros(32)
+    gaits(torch.ones(32, dtype=torch.bool), position)
+    for _ in range(100):
+        position = position + torch.rand(32)
+        action = gaits(torch.rand(32) < 0.1, position)
+        assert action.abs().max() <= 1.0
+    for name, (low, high, _) in gaits.GENES.items():
+        values = getattr(gaits, name)
+        assert (values >= low).all() and (values <= high).all(), name
+
+
+def test_it_goes_on_from_its_state(quadruped):
+    def play(gaits, steps, seed):
+        torch.manual_seed(seed)
+        generator = torch.Generator().manual_seed(seed)
+        return [
+            gaits(torch.rand(4, generator=generator) < 0.1, torch.rand(4, generator=generator)) for _ in range(steps)
+        ]
+
+    first = stepping(quadruped)
+    play(first, 30, 1)
+    second = stepping(quadruped)
+    second.load_state_dict(first.state_dict())
+    for a, b in zip(play(first, 30, 2), play(second, 30, 2), strict=True):
+        torch.testing.assert_close(a, b, rtol=0.0, atol=0.0)
+
+
+def test_gaits_that_evolve_walk(quadruped):
+    """On the quadruped the fittest gait after 10,000 control steps covers ground, and more than those at first."""
+    ends = {"long_contact": None, "stuck_hip": None, "fall": Fall(height=None)}
+    task = WalkingTask(quadruped, settings=WalkSettings(terminations={**paper_terminations(), **ends}))
+    robots = 16
+    simulation, gaits = Simulation(task, robots, threads=1), Stepping(quadruped, robots, 2.0, 0.02)
+    begins, fittest = torch.ones(robots, dtype=torch.bool), []
+    simulation.reset(begins.numpy())
+    for step in range(630):
+        position = torch.from_numpy(simulation.now.position).float()
+        outcome = simulation.step(gaits(begins, position).numpy().astype(float))
+        begins = torch.from_numpy(outcome.terminated | outcome.truncated)
+        simulation.reset(begins.numpy())
+        if step in (105, 629):
+            fittest.append(float(gaits.fitness.max()))
+    assert fittest[1] > max(fittest[0], 0.1)
+
+
