@@ -62,7 +62,7 @@ def check_servos(model: mujoco.MjModel, joints: Sequence[Joint], file: Path) -> 
 
 
 def is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
-    """Tell whether an actuator pulls what it drives to the number it is told, with or without a filter before it."""
+    """Tell whether an actuator is a position servo, with or without a filter before it."""
     gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
     return bool(
         int(model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED)
@@ -77,7 +77,7 @@ def is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
 def rest_servos(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Let the servos that have a state of their own begin at rest: filters and queues hold the pose of ``data``.
 
-    MuJoCo's reset fills both with zeros, whatever the pose, so that the first steps would jerk the robot.
+    MuJoCo's reset fills both with zeros in any pose, so that the first steps would jerk the robot.
     """
     if model.na == 0 and not (model.actuator_delay > 0).any():
         return

@@ -1,4 +1,4 @@
-"""Completion of a robot's file: what walking needs and the file lacks is added, and each addition is said.
+"""Completion of a robot's file: parts that walking needs and the file lacks are added, each with a note.
 
 A file that lacks nothing stays as it is.
 """
@@ -42,11 +42,11 @@ _ABOVE, _BELOW = 0.02, -0.005  # m: how far a key's feet may be from the ground
 
 @dataclass(frozen=True)
 class Completed:
-    """Hold the model of a file with what was added to it.
+    """Hold the model of a file with its additions.
 
     Attributes:
         model: The compiled model.
-        spec: What it was compiled from, which can be changed and compiled again.
+        spec: The source of the model, which can be changed and compiled again.
         notes: One sentence for each thing that was added or changed.
         held: Angle (rad) of each joint that was fixed, by name.
         root: Name of the robot's root body.
@@ -67,16 +67,16 @@ def complete(
     settings: RobotSettings,
     limits: Mapping[str, ServoSettings] | None = None,
 ) -> Completed:
-    """Add what walking needs and a robot's file lacks: ground, feet, a standing pose, servos and contact sensors.
+    """Add the parts that walking needs and a robot's file lacks: ground, feet, a standing pose, servos, sensors.
 
     Args:
-        spec: What the file says; it is changed in place if it lacks something.
+        spec: The file's content; it is changed in place if it lacks something.
         file: Path of the file, for messages.
         settings: Settings of the robot.
-        limits: What the file says of the servos of single joints and MJCF has no place for, by the joint's name.
+        limits: Limits that the file gives for single joints' servos and MJCF has no place for, by the joint's name.
 
     Raises:
-        RobotError: If the file is no robot, or a setting names what it does not have.
+        RobotError: If the file is no robot, or a setting names something that it does not have.
     """
     before = _prepare(spec)
     draft = Draft(spec, file, settings.root)
@@ -119,7 +119,7 @@ def complete(
 
 
 def _prepare(spec: mujoco.MjSpec) -> list[str]:
-    """Add a floor to a file that has nothing of the kind, before it is compiled; return what is to be said.
+    """Add a floor to a file that has nothing of the kind, before it is compiled; return the notes.
 
     Parts of scenes may lack the very floor that their pairs and sensors name.
     """
@@ -289,7 +289,7 @@ def _why_not(draft: Draft, name: str, qpos: np.ndarray, floor: int, ends: Sequen
 
 
 def _corrected(draft: Draft, qpos: np.ndarray, floor: int, ends: Sequence[int], what: str) -> np.ndarray:
-    """Return a pose with its joints in their ranges and its feet on the ground, and say what was changed."""
+    """Return a pose with its joints in their ranges and its feet on the ground, with notes on the changes."""
     model, root = draft.model, draft.root
     moved, outside = home_pose.clipped(model, qpos, draft.joints())
     for joint in outside:
@@ -315,7 +315,7 @@ def _reference(draft: Draft) -> np.ndarray:
 
 
 def _find(draft: Draft, settings: RobotSettings, floor: int, feet: Sequence[str]) -> dict[str, np.ndarray] | None:
-    """Find a standing pose for a robot on a free base, and say so; others stand in their reference pose."""
+    """Find a standing pose for a robot on a free base, with a note; others stand in their reference pose."""
     model, root = draft.model, draft.root
     base = base_joints(model, root)
     if not len(base) or int(model.jnt_type[base[0]]) != int(mujoco.mjtJoint.mjJNT_FREE):
@@ -357,7 +357,7 @@ def _write_pose(draft: Draft, pose: Mapping[str, np.ndarray], key: str | None, f
 
 
 def _clip_pose(draft: Draft) -> None:
-    """Put a standing pose that the file names into the ranges of the servos, and say so."""
+    """Put a standing pose that the file names into the ranges of the servos, with a note."""
     model = draft.model
     names = [model.key(k).name for k in range(model.nkey)]
     name = next((name for name in ("stand", "home") if name in names), None)
@@ -422,7 +422,7 @@ def _passive(draft: Draft) -> None:
 
 
 def _try(draft: Draft, feet: Sequence[str]) -> None:
-    """Hold the standing pose for a while; say if the robot falls, a servo is too weak or a shank touches the ground."""
+    """Hold the standing pose for a while; note a fall, servos that are too weak, and shanks on the ground."""
     model, root = draft.model, draft.root
     if model.nu != len(driven_joints(model)) or not len(base_joints(model, root)):
         return

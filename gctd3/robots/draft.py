@@ -1,4 +1,4 @@
-"""A robot's file while it is being completed: what it says, the model of it, and what was said about each change."""
+"""A robot's file while it is being completed: its content, its model, and a note for each change."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Draft:
     """Hold a file's content while it is completed.
 
     Args:
-        spec: What the file says; it is changed in place.
+        spec: The file's content; it is changed in place.
         file: Path of the file, for messages.
         root: Name of the robot's root body; ``None`` where there is but one.
 
@@ -38,7 +38,7 @@ class Draft:
         self.notes: list[str] = []
         self.edited = False
         self.sensed: tuple[str, ...] = ()
-        # MuJoCo fills keys that are too short with numbers of the reference pose, without a word.
+        # MuJoCo fills keys that are too short with numbers of the reference pose, silently.
         written = [len(key.qpos) for key in spec.keys]
         self.model = self.compile()
         whole = (0, int(self.model.nq))
@@ -51,7 +51,7 @@ class Draft:
         return root_body(self.model, self.file, self.root_name)
 
     def edit(self, note: str | None = None) -> None:
-        """Record that the file is changed, with a sentence about it if it is to be said."""
+        """Record that the file is changed, with a note if one is given."""
         if not self.edited:
             self.edited = True
             # What is referred to has to have a name.

@@ -87,7 +87,7 @@ def split_feet(draft: Draft, feet: Sequence[Sequence[int]]) -> list[str]:
     model, names = draft.model, list[str]()
     draft.edit()
     elements = {geom.id: geom for geom in draft.spec.geoms}
-    # Found first: what is added changes the indices.
+    # Found first: additions change the indices.
     parents = [draft.spec_body(int(model.geom_bodyid[geoms[0]])) for geoms in feet]
     taken = {body.name for body in draft.spec.bodies}
     for parent, geoms in zip(parents, feet, strict=True):

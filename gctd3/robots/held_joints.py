@@ -15,7 +15,7 @@ from gctd3.robots.servos import remove_actuators
 
 
 def hold_joints(draft: Draft, patterns: Sequence[str], pose: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """Remove joints from the file and fix what they moved where the pose has it; return their angles (rad; m).
+    """Remove joints from the file and fix their bodies where the pose has them; return the joints' angles (rad; m).
 
     Args:
         draft: The file.
@@ -35,7 +35,7 @@ def hold_joints(draft: Draft, patterns: Sequence[str], pose: Mapping[str, np.nda
     if len(chosen) == len(names):
         raise RobotError(f"{draft.file}: robot.hold leaves the robot no joint.")
     draft.edit()
-    # Found first: what is removed changes the indices.
+    # Found first: removals change the indices.
     parts = {j: (draft.spec_joint(j), draft.spec_body(int(model.jnt_bodyid[j]))) for j in chosen.values()}
     order = {joint.name: joint.id for joint in draft.spec.joints}
     keys = [(key, _poses(model, key)) for key in draft.spec.keys]

@@ -234,7 +234,7 @@ def holds(
 
 @dataclass(frozen=True)
 class _Leg:
-    """Hold what the search needs of a leg.
+    """Hold the numbers of a leg for the search.
 
     Attributes:
         foot: Index of its foot.

@@ -1,4 +1,4 @@
-"""Load the robot that settings ask for: find its file, read it, complete what it lacks.
+"""Load the robot that settings ask for: find its file, read it, complete it.
 
 Library code that has a model in memory builds a :class:`.Robot` from it directly, and completes nothing.
 """
@@ -56,8 +56,8 @@ def read_spec(source: Source, settings: RobotSettings) -> tuple[mujoco.MjSpec, R
     """Read a robot's file without compiling it.
 
     Returns:
-        What it says; the settings, with what it says of servos and MuJoCo has no place for; and notes on what was
-        changed to read it.
+        The file's content; the settings, with the limits of its servos that MuJoCo has no place for; and notes on
+        changes that were made to read it.
 
     Raises:
         RobotError: If it cannot be read.
@@ -75,7 +75,7 @@ def floats(file: Path) -> bool:
     try:
         spec = parse_mjcf(file)
     except RobotError:
-        return False  # for the one who loads it to say
+        return False  # its loading reports the error
 
     def floating(body: mujoco.MjsBody) -> bool:
         return any(int(joint.type) == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)

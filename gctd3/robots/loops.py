@@ -45,7 +45,7 @@ def close_loops(
 
 
 def _least(jacobian: np.ndarray, wanted: np.ndarray, ease: np.ndarray) -> np.ndarray:
-    """Return the smallest change, weighed by ``ease``, that the Jacobian maps to what is wanted."""
+    """Return the smallest change, weighed by ``ease``, that the Jacobian maps to the wanted one."""
     return np.asarray(ease * (np.linalg.pinv(jacobian * ease, rcond=1e-8) @ wanted))
 
 

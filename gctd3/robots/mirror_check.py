@@ -17,7 +17,7 @@ reflect. :func:`check_mirror` decides that in three stages, and names the part t
 3. In the air, where nothing but masses may differ, masses have to explain the residual: of a copy of the model whose
    masses, centres of mass and inertias are the means of both sides', it must vanish, up to :data:`MOST_UNEXPLAINED` for
    what is rounded away, and for steps of finite length of a base whose frame is not in the middle.
-   So whatever else is not the same, a tendon or a closed loop on one side, does not pass unnoticed.
+   So any other difference, a tendon or a closed loop on one side, does not pass unnoticed.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ class ModelReflection:
         return True
 
     def seen(self, vectors: np.ndarray) -> np.ndarray:
-        """Return vectors ``[*, 3]`` without what does not matter: in a plane, what is across it."""
+        """Return vectors ``[*, 3]`` without their irrelevant part: for a robot in a plane, the part across it."""
         return np.asarray(vectors - (vectors @ self.lateral)[..., None] * self.lateral) if self.flat else vectors
 
     # What has to mirror exactly.

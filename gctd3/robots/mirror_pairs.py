@@ -241,7 +241,7 @@ class _Matching:
                 if count > most:
                     best, most, cost = offset, count, other
         middles = self._middles(cost)
-        if len(middles) > 1:  # one pair could itself be what is not symmetric
+        if len(middles) > 1:  # one pair could itself be the asymmetry
             middle = float(np.median(middles))
             spread, median_spread = (float(np.abs(middles - offset).mean()) for offset in (best, middle))
             if spread > _ROUNDED and median_spread < _EXACTLY * spread:

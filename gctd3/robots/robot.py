@@ -148,7 +148,7 @@ class Robot:
 
     @property
     def origin(self) -> str:
-        """Return where the file comes from and what was added to it, a line each; nothing if it ships as it is used."""
+        """Return the origin of the file and the additions to it, a line each; nothing for an unchanged shipped file."""
         if self.source is None or (self.source.ships and not self.notes):
             return ""
         return "\n".join([f"Robot: {self.source}", *(f"  {note}" for note in self.notes)])

@@ -16,7 +16,7 @@ class ServoSettings:
         damping: Torque per unit of the joint's velocity (N m s/rad).
         effort: Largest torque (N m).
         armature: Inertia of the rotor, reflected to the joint (kg m^2).
-        velocity_limit: Velocity at which no torque is left (rad/s); it is said but not simulated, as MuJoCo's
+        velocity_limit: Velocity at which no torque is left (rad/s); it is noted but not simulated, as MuJoCo's
             position servos have no such limit.
     """
 

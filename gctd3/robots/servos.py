@@ -1,7 +1,7 @@
 """Position servos for a robot whose file has motors, other actuators or none: gains, torque limits and ranges.
 
 Derived gains follow mjlab (Zakka et al. 2025): a servo of natural frequency 10 Hz and damping ratio 2 on the inertia
-of the joint's rotor; without one, on what the joint feels of the robot in its standing pose.
+of the joint's rotor; without one, on the robot's inertia about the joint in its standing pose.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _TRANSMISSIONS = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTI
 
 @dataclass(frozen=True)
 class _Drive:
-    """Describe what an actuator of the file does to its joint, per unit of the joint's angle.
+    """Describe the action of the file's actuator on its joint, per unit of the joint's angle.
 
     Attributes:
         stiffness: Torque per radian; ``None`` if it is no position servo.
@@ -58,7 +58,7 @@ def complete_servos(
         qpos: The standing pose, shape ``[nq]``.
         load: Torque that each degree of freedom needs to stand, shape ``[nv]`` (N m).
         asked: Servos by pattern of joints, as the settings ask for; the first that fits counts.
-        limits: What the file says of servos by the joint's name, and MJCF has no place for.
+        limits: Limits that the file gives for servos and MJCF has no place for, by the joint's name.
 
     Raises:
         RobotError: If a range cannot be one of angles.
@@ -125,7 +125,7 @@ def complete_servos(
 
 
 def _merged(asked: ServoSettings | None, stated: ServoSettings | None) -> ServoSettings:
-    """Return what settings ask of a servo, and where they ask nothing, what the file says of it."""
+    """Return a servo's settings, with the file's values for those that are ``None``."""
     first, second = asked or ServoSettings(), stated or ServoSettings()
     values = {f.name: getattr(first, f.name) for f in fields(ServoSettings)}
     return ServoSettings(**{n: v if v is not None else getattr(second, n) for n, v in values.items()})
@@ -220,7 +220,7 @@ def _add_actuators(draft: Draft, joints: Sequence[int]) -> dict[int, mujoco.MjsA
 
 
 def _read(model: mujoco.MjModel, joint: int) -> tuple[_Drive, int | None]:
-    """Read what an actuator does to its joint, and its index in the model, ``None`` if it is a new one."""
+    """Read the action of an actuator on its joint, and its index in the model, ``None`` if it is a new one."""
     low, high = -np.inf, np.inf
     if model.jnt_actfrclimited[joint]:
         low, high = (float(v) for v in model.jnt_actfrcrange[joint])
@@ -235,7 +235,7 @@ def _read(model: mujoco.MjModel, joint: int) -> tuple[_Drive, int | None]:
     affine = int(model.actuator_biastype[old]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
     limited, span = bool(model.actuator_ctrllimited[old]), model.actuator_ctrlrange[old]
     if affine and bias[1] < 0.0:
-        # The desired angle is what it comes to rest at.
+        # It comes to rest at the desired angle.
         per_angle = gear * float(bias[1] / -gain[0]) if gain[0] else gear
         stiffness, damping = -float(bias[1]) * gear**2, -float(bias[2]) * gear**2
         place = sorted(float(v) / per_angle for v in span)
@@ -327,7 +327,7 @@ def _check_range(
         raise RobotError(
             f"{draft.file}: the ctrlrange of actuator {name!r}, {written[0]:g} to {written[1]:g} rad, lies far outside "
             f"of the range of joint {joint_name(model, joint)!r}, {low:.4g} to {high:.4g} rad; a ctrlrange is in "
-            "radians, whatever the compiler's angle is."
+            "radians for any compiler's angle."
         )
 
 

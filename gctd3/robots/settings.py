@@ -61,7 +61,7 @@ class RobotSettings:
         check_seed("graph_seed", self.graph_seed)
 
     def within(self, limits: Mapping[str, Mapping[str, float]]) -> RobotSettings:
-        """Add what a file says of single joints' servos where their patterns leave it to the file."""
+        """Add a file's limits of single joints' servos where their patterns leave them to the file."""
         servos = {}
         for joint, stated in limits.items():
             fitting = next((s for pattern, s in self.servos.items() if fnmatchcase(joint, pattern)), ServoSettings())

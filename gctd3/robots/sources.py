@@ -67,7 +67,7 @@ class Source:
     def sha256(self) -> str:
         """Return the SHA-256 of the file and of all that it includes or shows, wherever they lie.
 
-        Line endings of the file and of what it includes do not count.
+        Line endings of the file and of its includes do not count.
         """
         digest = hashlib.sha256()
         for file in files_of(self.file):
@@ -199,7 +199,7 @@ def _elements(file: Path) -> Iterator[ElementTree.Element]:
     try:
         yield from ElementTree.parse(file).iter()
     except (OSError, ElementTree.ParseError):
-        return  # MuJoCo says it better
+        return  # MuJoCo's error is clearer
 
 
 def _check_format(file: Path) -> None:
@@ -225,7 +225,7 @@ def _normal(package: str) -> str:
 
 
 def _distribution(package: str) -> metadata.Distribution | None:
-    """Return what pip wrote of a package, named as it is imported or as pip knows it."""
+    """Return pip's record of a package, named as it is imported or as pip knows it."""
     try:
         return metadata.distribution(package)
     except (metadata.PackageNotFoundError, ValueError):
@@ -263,7 +263,7 @@ def _in_package(package: str, path: str, place: str) -> Source:
     if file is None or not file.is_file():
         raise RobotError(f"{place}: the package {package}{version} has no file {path!r}.{_nearest(folder, path)}")
     _check_format(file)
-    # Up to the package's own folder; of files elsewhere the folder above holds what is the robot's.
+    # Up to the package's own folder; for files elsewhere up to the folder above theirs.
     inside = [p for p in file.parents if folder in (p, *p.parents)] or [file.parent, file.parent.parent]
     return Source(
         file,

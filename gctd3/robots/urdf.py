@@ -28,12 +28,11 @@ _UP = {"X_UP": [[0, -1, 0], [1, 0, 0], [0, 0, 1]], "Y_UP": [[1, 0, 0], [0, 0, -1
 
 @dataclass(frozen=True)
 class URDF:
-    """Hold what a URDF file says.
+    """Hold the content of a URDF file.
 
     Attributes:
         spec: Bodies, joints and colliding geoms, with a free base; no floor and no actuators.
-        limits: What each joint states of its largest torque (``effort``, N m) and velocity (``velocity_limit``, rad/s),
-            by its name.
+        limits: Each joint's largest torque (``effort``, N m) and velocity (``velocity_limit``, rad/s), by its name.
         notes: One sentence for each thing that was added, changed or left out.
     """
 
@@ -43,7 +42,7 @@ class URDF:
 
 
 def is_urdf(file: Path) -> bool:
-    """Tell whether a file is a URDF: by the root of its XML, whatever the file is called."""
+    """Tell whether a file is a URDF: by the root of its XML, not by its name."""
     try:
         text = re.sub(rb"<!--.*?-->|<[?!][^>]*>", b"", file.read_bytes()[: 1 << 16], flags=re.DOTALL)
     except OSError:
@@ -289,7 +288,7 @@ def _quaternion(rpy: tuple[float, ...]) -> np.ndarray:
 
 
 def _mend_inertias(root: ElementTree.Element, file: Path, notes: list[str]) -> None:
-    """Make inertias that no body can have possible: raise what is not positive to a millionth of the largest."""
+    """Make inertias that no body can have possible: raise moments of 0 or less to a millionth of the largest."""
     mended = []
     for link in root.iterfind("link"):
         inertia = link.find("inertial/inertia")
@@ -313,7 +312,7 @@ def _mend_inertias(root: ElementTree.Element, file: Path, notes: list[str]) -> N
 
 
 def _fix_massless(root: ElementTree.Element, file: Path, notes: list[str]) -> None:
-    """Fix joints that move nothing which has a mass, and give a little mass to moving links between others."""
+    """Fix joints that move no mass, and give a little mass to moving links between others."""
     masses = {link.get("name", ""): link.find("inertial/mass") for link in root.iterfind("link")}
     try:
         heavy = {name for name, mass in masses.items() if mass is not None and float(mass.get("value", "0")) > 0.0}
@@ -363,7 +362,7 @@ def _fix_massless(root: ElementTree.Element, file: Path, notes: list[str]) -> No
 
 
 def _take_the_rest(root: ElementTree.Element, notes: list[str]) -> None:
-    """Take out what is only seen or is for other programs, and tell MuJoCo how to read what stays."""
+    """Take out parts for pictures and for other programs, and tell MuJoCo how to read the rest."""
     for link in root.iterfind("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
@@ -431,7 +430,7 @@ def _free(spec: mujoco.MjSpec, root: ElementTree.Element, file: Path, notes: lis
 
 
 def _limits(spec: mujoco.MjSpec, root: ElementTree.Element, notes: list[str]) -> dict[str, dict[str, float]]:
-    """Take the limits of torque off the joints, for their servos to keep; those of 0 say nothing."""
+    """Take the limits of torque off the joints, for their servos to keep; those of 0 are no limits."""
     by_joint, silent = dict[str, dict[str, float]](), list[str]()
     for joint in spec.joints:
         joint.actfrclimited, joint.actfrcrange = mujoco.mjtLimited.mjLIMITED_FALSE, [0.0, 0.0]

@@ -133,5 +133,3 @@ def test_gaits_that_evolve_walk(quadruped):
         if step in (105, 629):
             fittest.append(float(gaits.fitness.max()))
     assert fittest[1] > max(fittest[0], 0.1)
-
-
