@@ -22,7 +22,8 @@ class Stepping(torch.nn.Module):
     Jacobian. Left and right feet step half a period apart; the phases of the pairs, frequency, length and height of
     the steps, a shift of each pair of feet, a crouch and a sway are drawn, and evolve: each robot tries a gait for a
     while, remembers its best one, and most new gaits are mutations of what a few robots remember. The fitness of a gait
-    is the distance that it covers while it is tried, as far as a brisk walk would get, less a penalty if the robot falls. Lengths are in leg lengths and
+    is the distance that it covers while it is tried, as far as a brisk walk would get, less a penalty if the robot
+    falls. Lengths are in leg lengths and
     frequencies in those of a pendulum as long as the leg, so that the same numbers serve robots of all sizes.
 
     Args:
