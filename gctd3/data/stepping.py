@@ -22,7 +22,8 @@ class Stepping(torch.nn.Module):
     Jacobian. Left and right feet step half a period apart; the phases of the pairs, frequency, length and height of
     the steps, a shift of each pair of feet, a crouch and a sway are drawn, and evolve: each robot tries a gait for a
     while, remembers its best one, and most new gaits are mutations of what a few robots remember. The fitness of a gait
-    is the distance that it covers while it is tried, less a penalty if the robot falls. Lengths are in leg lengths and
+    is the distance that it covers while it is tried, as far as a brisk walk would get, less a penalty if the robot
+    falls. Lengths are in leg lengths and
     frequencies in those of a pendulum as long as the leg, so that the same numbers serve robots of all sizes.
 
     Args:
@@ -62,6 +63,7 @@ class Stepping(torch.nn.Module):
     MUTATION = 0.08  # standard deviation, of a gene's range
     RIVALS = 4  # robots of whom the fittest one is the parent
     FALL = 0.5  # leg lengths by which a fall lowers the fitness, for each second of a trial
+    FROUDE = 0.3  # of a speed beyond which a gait is not fitter: v^2 / (g L)
     FORGET = 0.02  # of a remembered fitness that is lost with each trial, so that luck does not stay
     NOISE = 0.1  # standard deviation of what is added to the actions
     DAMPING = 0.05  # of the pseudo-inverse, leg lengths
@@ -74,6 +76,7 @@ class Stepping(torch.nn.Module):
         self._dt, self._share = control_dt, mutation_share
         self._steps = max(round(trial / control_dt), 1)
         self._penalty = self.FALL * self._length * trial
+        self._enough = math.sqrt(self.FROUDE * GRAVITY * self._length) * trial
         self._pendulum = math.sqrt(GRAVITY / self._length) / (2 * math.pi)
         group, lag = _groups(robot)
         self.register_buffer("pair_of", group, persistent=False)
@@ -113,7 +116,7 @@ class Stepping(torch.nn.Module):
     def _end(self, ended: Tensor, fell: Tensor) -> None:
         """Remember the gaits of the trials that have ended if they are fitter, and begin new ones."""
         tried = ended & (self.age > 0)
-        fitness = self.last - self.start - self._penalty * fell
+        fitness = (self.last - self.start).clamp(max=self._enough) - self._penalty * fell
         self.fitness.copy_(torch.where(tried, self.fitness - self.FORGET * self.fitness.abs(), self.fitness))
         fitter = tried & (fitness > self.fitness)
         self.fitness.copy_(torch.where(fitter, fitness, self.fitness))

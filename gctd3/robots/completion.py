@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from gctd3.robots.servo_settings import ServoSettings
     from gctd3.robots.settings import RobotSettings
 
+FALLS = "Servos that hold the standing pose do not keep the robot from falling:"
 _ABOVE, _BELOW = 0.02, -0.005  # m: how far a key's feet may be from the ground
 
 
@@ -83,7 +84,8 @@ def complete(
     for sentence in before:
         draft.edit(sentence)
     first = draft.model
-    check_patterns(settings.servos, [joint_name(first, j) for j in draft.joints()], "robot.servos", file)
+    names, several = [joint_name(first, j) for j in draft.joints()], len(settings.sources) > 1
+    check_patterns(settings.servos, names, "robot.servos", file, several)
     floor = _ground(draft)
     pose, key, feet, split = _stand(draft, settings, floor)
     if any(split):
@@ -429,7 +431,7 @@ def _try(draft: Draft, feet: Sequence[str]) -> None:
     sensors = {n: a for n, a in contact_sensors(model, root).items() if n not in feet}
     held = home_pose.holds(model, standing_pose(model), root, list(sensors.values()))
     if held.fell is not None:
-        draft.notes.append(f"Servos that hold the standing pose do not keep the robot from falling: {held.fell:.2g} s.")
+        draft.notes.append(f"{FALLS} {held.fell:.2g} s.")
     elif held.weak:
         names = [joint_name(model, j) for j in held.weak]
         draft.notes.append(f"The servos of {listed(names)} need all of their torque to hold the standing pose.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TypeVar
@@ -136,14 +136,24 @@ def first_fitting(patterns: Mapping[str, T], name: str) -> T | None:
     return next((value for pattern, value in patterns.items() if fnmatchcase(name, pattern)), None)
 
 
-def check_patterns(patterns: Iterable[str], names: Sequence[str], what: str, file: Path) -> None:
+def check_patterns(
+    patterns: Collection[str], names: Sequence[str], what: str, file: Path, several: bool = False
+) -> None:
     """Check that each pattern fits a name.
+
+    Args:
+        patterns: The patterns.
+        names: The names of the file's joints.
+        what: The setting, for messages.
+        file: Path of the file, for messages.
+        several: Whether the patterns are for several files that name joints differently, so that one has to fit.
 
     Raises:
         RobotError: If one does not; the message suggests a similar name.
     """
-    for pattern in patterns:
-        if not any(fnmatchcase(name, pattern) for name in names):
+    unfit = [pattern for pattern in patterns if not any(fnmatchcase(name, pattern) for name in names)]
+    if not several or len(unfit) == len(patterns):
+        for pattern in unfit:
             raise RobotError(
                 f"{file}: {what} names {pattern!r}, which fits no joint.{suggest(pattern, names)} "
                 f"The joints are {', '.join(names)}."

@@ -193,7 +193,12 @@ def clipped(model: mujoco.MjModel, qpos: np.ndarray, joints: Sequence[int]) -> t
 
 
 def holds(
-    model: mujoco.MjModel, qpos: np.ndarray, root: int, sensors: Sequence[int] = (), seconds: float = 3.0
+    model: mujoco.MjModel,
+    qpos: np.ndarray,
+    root: int,
+    sensors: Sequence[int] = (),
+    seconds: float = 3.0,
+    command: np.ndarray | None = None,
 ) -> Held:
     """Simulate servos that hold a pose and tell how long the robot stands, and which servos need all of their torque.
 
@@ -203,12 +208,13 @@ def holds(
         root: Index of the robot's root body.
         sensors: Indices in ``sensordata`` of sensors of contact.
         seconds: How long to simulate (s).
+        command: Desired angle of each servo, shape ``[nu]`` (rad); those of the pose if ``None``.
     """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     rest_servos(model, data)
     joints = driven_joints(model)
-    data.ctrl[:] = [qpos[int(model.jnt_qposadr[j])] for j in joints]
+    data.ctrl[:] = [qpos[int(model.jnt_qposadr[j])] for j in joints] if command is None else command
     mujoco.mj_forward(model, data)
     height, upright = float(data.xpos[root, 2]), data.xmat[root].reshape(3, 3).copy()
     floor = height - float(data.geom_xpos[:, 2].min())

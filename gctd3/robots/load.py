@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import mujoco
+import numpy as np
 
 from gctd3.errors import RobotError
 from gctd3.robots.action_scale import find_action_scale
-from gctd3.robots.completion import complete
+from gctd3.robots.completion import FALLS, complete
+from gctd3.robots.home_pose import holds
 from gctd3.robots.robot import Robot
 from gctd3.robots.sources import Source, find_source
 from gctd3.robots.standing_command import find_standing_command
@@ -22,6 +24,8 @@ from gctd3.robots.urdf import is_urdf, read_urdf
 
 if TYPE_CHECKING:
     from gctd3.robots.settings import RobotSettings
+
+LEAST_CHANGE = 0.01  # rad of a desired angle that is worth a note
 
 
 def load_robot(settings: RobotSettings, feet: Sequence[str] | None = None) -> Robot:
@@ -47,9 +51,22 @@ def load_robot(settings: RobotSettings, feet: Sequence[str] | None = None) -> Ro
         held=completed.held,
     )
     scale = find_action_scale(robot, settings.action_scale)
-    if scale is None:
-        return robot
-    return replace(robot, action_scale=scale, standing_command=tuple(find_standing_command(robot).tolist()))
+    return robot if scale is None else _about_standing(replace(robot, action_scale=scale))
+
+
+def _about_standing(robot: Robot) -> Robot:
+    """Let an action of 0 carry the robot's weight, and say whether it then stands."""
+    pose = robot.action_map[0]
+    command = find_standing_command(robot)
+    notes = [note for note in robot.notes if not note.startswith(FALLS)]
+    more = float(np.abs(command - pose).max(initial=0.0))
+    if robot.notes and more > LEAST_CHANGE:
+        notes.append(f"An action of 0 asks for up to {more:.2g} rad more than the standing pose, to carry the weight.")
+    if robot.notes:  # of a file that was completed
+        held = holds(robot.model, robot.standing_qpos, robot.base.root, command=command)
+        if held.fell is not None:
+            notes.append(f"{FALLS} {held.fell:.2g} s.")
+    return replace(robot, standing_command=tuple(command.tolist()), notes=tuple(notes))
 
 
 def read_spec(source: Source, settings: RobotSettings) -> tuple[mujoco.MjSpec, RobotSettings, tuple[str, ...]]:

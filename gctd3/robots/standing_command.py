@@ -10,7 +10,8 @@ from gctd3.robots.robot import Robot
 
 SECONDS = 1.0  # s: the robot is held for so long
 AVERAGED = 0.25  # of that time, at its end
-NATURAL_FREQUENCY = 2.0 * np.pi * 15.0  # rad/s, of what holds it: stable at time steps of 5 ms
+NATURAL_FREQUENCY = 2.0 * np.pi * 15.0  # rad/s, of the springs that hold it, at most
+STABLE = 0.2  # radians of their oscillation in a time step, at most
 LEAST_UPRIGHT = 0.9  # component along z of the body's vertical
 
 
@@ -36,7 +37,8 @@ def find_standing_command(robot: Robot) -> np.ndarray:
         column = np.zeros(model.nv)
         mujoco.mj_mulM(model, data, column, np.eye(model.nv)[dof])
         inertia[i] = column[dof]
-    stiffness, damping = inertia * NATURAL_FREQUENCY**2, 2.0 * inertia * NATURAL_FREQUENCY
+    frequency = min(NATURAL_FREQUENCY, STABLE / model.opt.timestep)
+    stiffness, damping = inertia * frequency**2, 2.0 * inertia * frequency
     steps = max(round(SECONDS / model.opt.timestep), 1)
     torques = []
     for _ in range(steps):
