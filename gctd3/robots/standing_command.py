@@ -11,7 +11,7 @@ from gctd3.robots.robot import Robot
 SECONDS = 1.0  # s: the robot is held for so long
 AVERAGED = 0.25  # of that time, at its end
 NATURAL_FREQUENCY = 2.0 * np.pi * 15.0  # rad/s, of the springs that hold it, at most
-STABLE = 0.2  # radians of their oscillation in a time step, at most
+STABLE = 0.1  # radians of their oscillation in a time step, at most
 LEAST_UPRIGHT = 0.9  # component along z of the body's vertical
 
 

@@ -138,9 +138,8 @@ class RobotFacts:
     def soft_range(self, share: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the ends of a share of each joint's range about its middle, infinite for none, each ``[J]`` (rad)."""
         low, high = self.ranges.T
-        limited = np.isfinite(high - low)
-        middle, half = np.where(limited, (low + high) / 2, 0.0), np.where(limited, share * (high - low) / 2, np.inf)
-        return middle - half, middle + half
+        margin = np.where(np.isfinite(high - low), (1.0 - share) * (high - low) / 2, 0.0)
+        return low + margin, high - margin
 
     def size(self, dimension: int | str) -> int:
         """Return the size of a remembered array's dimension: a number, or ``feet``, ``joints`` or ``actions``."""
