@@ -54,16 +54,11 @@ class TD3Settings(AlgorithmSettings):
         policy_delay: Critic updates for each update of the actor and the targets (Table 4).
         policy_noise: Standard deviation of the noise on the target's actions (half a joint's range).
         noise_clip: Largest size of that noise (half a joint's range).
-        imitation: Weight of imitating actions of the replay which the critic prefers to the actor's (arXiv:1709.10089),
-            relative to the values; so an actor begins with the warm-up's best gaits.
-        imitation_updates: Updates within which that weight falls to zero; 0 for no imitation.
     """
 
     policy_delay: int = 2
     policy_noise: float = 0.2
     noise_clip: float = 0.5
-    imitation: float = 0.4
-    imitation_updates: int = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from tensordict import TensorDictBase
-from torch import Tensor
 
 from gctd3.algorithms.base import Algorithm, Architecture, Metrics, minimize
 from gctd3.objectives import FusedSoftUpdate, TD3Loss
@@ -47,32 +46,13 @@ class TD3(Algorithm):
 
         if self.updates % self.settings.policy_delay == 0:
             # Actor: up the first critic's value.
-            loss_actor, values = self.loss.of_actor(batch)
-            if self.updates < self.settings.imitation_updates:
-                taken, own = details["pred_value"][0], values["state_action_value_actor"]
-                loss_actor = loss_actor + self._imitation(batch, taken, own)
+            loss_actor, _ = self.loss.of_actor(batch)
             minimize(self.actor_optimizer, loss_actor)
             metrics["loss_actor"] = loss_actor.detach()
 
             # Targets: Polyak averages (equations 12 and 13).
             self.targets.step()
         return metrics
-
-    def _imitation(self, batch: TensorDictBase, taken: Tensor, own: Tensor) -> Tensor:
-        """Compute the loss of imitating the batch's actions where the critic prefers them to the actor's.
-
-        Q-filtered behaviour cloning (Nair et al. 2018, arXiv:1709.10089, section IV), weighted relative to the values
-        as in TD3+BC (Fujimoto & Gu 2021, arXiv:2106.06860); the weight falls linearly with the updates.
-
-        Args:
-            batch: Transitions, size ``[B]``.
-            taken: The first critic's value of each action in the batch, shape ``[B]``.
-            own: The same of the actor's action, shape ``[B]``.
-        """
-        action = self.actor(batch.select(*self.actor.in_keys)).get("action")
-        error = (action - batch.get("action")).pow(2).mean(dim=-1)
-        weight = self.settings.imitation * (1.0 - self.updates / self.settings.imitation_updates)
-        return weight * own.abs().mean() * (error * (taken > own)).mean()
 
     def averaged_actor_params(self) -> TensorDictBase:
         """Return the parameters of the target actor."""

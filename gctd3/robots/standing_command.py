@@ -11,7 +11,7 @@ from gctd3.robots.robot import Robot
 SECONDS = 1.0  # s: the robot is held for so long
 AVERAGED = 0.25  # of that time, at its end
 NATURAL_FREQUENCY = 2.0 * np.pi * 15.0  # rad/s, of the springs that hold it, at most
-STABLE = 0.2  # radians of their oscillation in a time step, at most
+STABLE = 0.1  # radians of their oscillation in a time step, at most
 LEAST_UPRIGHT = 0.9  # component along z of the body's vertical
 
 
@@ -46,7 +46,7 @@ def find_standing_command(robot: Robot) -> np.ndarray:
         data.qfrc_applied[dofs] = -stiffness * away - damping * speed
         mujoco.mj_step(model, data)
         torques.append(data.qfrc_applied[dofs] + data.qfrc_actuator[dofs])
-    upright = data.xmat[model.body(robot.root).id].reshape(3, 3) @ _vertical(robot)
+    upright = data.xmat[robot.base.root].reshape(3, 3) @ _vertical(robot)
     torque = np.mean(torques[-max(round(AVERAGED * steps), 1) :], axis=0)
     if not np.isfinite(torque).all() or upright[2] < LEAST_UPRIGHT or data.time == 0.0:
         return np.clip(home, low, high)
@@ -62,4 +62,4 @@ def _vertical(robot: Robot) -> np.ndarray:
     data = mujoco.MjData(robot.model)
     data.qpos[:] = robot.standing_qpos
     mujoco.mj_kinematics(robot.model, data)
-    return np.asarray(data.xmat[robot.model.body(robot.root).id].reshape(3, 3)[2])
+    return np.asarray(data.xmat[robot.base.root].reshape(3, 3)[2])
