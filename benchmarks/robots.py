@@ -259,7 +259,7 @@ def lowest(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
 
 
 def hold(robot: Robot) -> dict[str, Any]:
-    """Hold action 0 for three seconds, from where episodes begin; where it falls, the pose itself, by stiffer servos."""
+    """Hold action 0 for three seconds, from where episodes begin; if it falls, the pose itself by stiffer servos."""
     held = _hold(robot)
     return held if held["stands"] else {**held, "pose_held_by_times": next(filter(_pose_held(robot), STIFFER), None)}
 
@@ -588,7 +588,7 @@ def tables(found: dict[str, Any] | None, trained: dict[str, Any] | None) -> str:
 def read_table(found: dict[str, Any]) -> str:
     """The score, and every file."""
     lines = [
-        "| package | files | start a training | graph right | hold the pose 3 s | pose held by up to 10 times as stiff servos instead | mirrored |",
+        "| package | files | start a training | graph right | hold the pose 3 s | pose held by stiffer servos | mirrored |",
         "|---|---|---|---|---|---|---|",
     ]
     for name, counted in found["score"].items():
