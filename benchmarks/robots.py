@@ -588,7 +588,7 @@ def tables(found: dict[str, Any] | None, trained: dict[str, Any] | None) -> str:
 def read_table(found: dict[str, Any]) -> str:
     """The score, and every file."""
     lines = [
-        "| package | files | start a training | graph right | hold the pose 3 s | pose held by stiffer servos | mirrored |",
+        "| package | files | start a training | graph right | hold the pose 3 s | would by stiffer servos | mirrored |",
         "|---|---|---|---|---|---|---|",
     ]
     for name, counted in found["score"].items():
