@@ -247,7 +247,7 @@ class _Leg:
         sole: Middle of the sole in the foot's frame (m).
         level: Rows: directions in the foot's frame that are up and forward where the sole is level; ``None`` for a
             ball. Shape ``[2, 3]``.
-        joints: Its joints from the root down.
+        joints: Its own joints, from the root down.
         hip: The one of them that swings the leg forward.
         knee: The next of the kind; ``None`` if there is none.
     """
@@ -278,7 +278,10 @@ def find_pose(
     base, _ = clipped(model, model.qpos0, range(model.njnt))
     data = _placed(model, base)
     lateral = np.cross(UP, forward)
-    legs = [_leg(model, data, root, foot, floor, lateral) for foot in feet]
+    chains = [_chain(model, root, foot) for foot in feet]
+    # A waist, which several legs hang on, is none of theirs: each would bend it its own way.
+    own = [[j for j in chain if sum(j in other for other in chains) == 1] for chain in chains]
+    legs = [_leg(model, data, foot, floor, joints, lateral) for foot, joints in zip(feet, own, strict=True)]
     chosen = [leg for leg in legs if leg is not None and leg.knee is not None]
     if len(chosen) < len(feet):
         return None
@@ -322,15 +325,19 @@ def _alike(
     return clipped(model, even, [j for leg in legs for j in leg.joints])[0]
 
 
-def _leg(
-    model: mujoco.MjModel, data: mujoco.MjData, root: int, foot: int, floor: int, lateral: np.ndarray
-) -> _Leg | None:
+def _chain(model: mujoco.MjModel, root: int, foot: int) -> list[int]:
+    """Return the indices of the hinges between the root and a foot, downwards, that may be driven."""
     driven, joints, body = set(driven_joints(model)), list[int](), foot
     while body not in (root, 0):
         start = int(model.body_jntadr[body])
         joints = [*range(start, start + int(model.body_jntnum[body])), *joints] if start >= 0 else joints
         body = int(model.body_parentid[body])
-    joints = [j for j in joints if int(model.jnt_type[j]) == 3 and (not driven or j in driven)]
+    return [j for j in joints if int(model.jnt_type[j]) == 3 and (not driven or j in driven)]
+
+
+def _leg(
+    model: mujoco.MjModel, data: mujoco.MjData, foot: int, floor: int, joints: Sequence[int], lateral: np.ndarray
+) -> _Leg | None:
     swinging = [j for j in joints if abs(float(data.xaxis[j] @ lateral)) > 0.8]
     if not swinging:
         return None

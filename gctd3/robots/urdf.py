@@ -366,6 +366,10 @@ def _take_the_rest(root: ElementTree.Element, notes: list[str]) -> None:
     for link in root.iterfind("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
+        # Placeholders, which touch nothing; MuJoCo refuses them.
+        for collision in link.findall("collision"):
+            if any(_is_empty(shape) for shape in collision.iterfind("geometry/*")):
+                link.remove(collision)
     for tag in ("material", "transmission", "gazebo", "mujoco"):
         for element in root.findall(tag):
             root.remove(element)
@@ -375,6 +379,15 @@ def _take_the_rest(root: ElementTree.Element, notes: list[str]) -> None:
     followers = [joint.get("name", "") for joint in root.iterfind("joint") if joint.find("mimic") is not None]
     if followers:
         notes.append(f"{_some(followers)} follow other joints (mimic), held to them by equality constraints.")
+
+
+def _is_empty(shape: ElementTree.Element) -> bool:
+    """Tell whether a sphere, cylinder, capsule or box has a size of 0."""
+    sizes = [text for key in ("radius", "length", "size") for text in shape.get(key, "").split()]
+    try:
+        return any(float(text) == 0.0 for text in sizes)
+    except ValueError:
+        return False  # for MuJoCo to say
 
 
 def _skip_floating_root(root: ElementTree.Element) -> None:

@@ -289,6 +289,19 @@ def test_a_found_pose_has_bent_legs_and_feet_below_the_hips(tmp_path):
     assert not any("falling" in note for note in robot.notes)
 
 
+def test_a_waist_stays_straight_in_a_found_pose(tmp_path):
+    """Several legs hang on it: each would bend it its own way."""
+    legs = "".join(LEG.format(n=n, x=x, y=y) for n, x, y in LEGS)
+    belly = '<joint name="waist" axis="0 1 0" range="-1 1"/><geom size=".02" mass=".1" contype="0" conaffinity="0"/>'
+    robot = RobotSettings(name=str(dog(tmp_path, inside=f'<body name="belly">{belly}{legs}</body>', legs=[]))).load()
+    assert any("one with bent legs is found" in note for note in robot.notes)
+    assert robot.standing_qpos[robot.joint("waist").qpos] == 0.0
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.standing_qpos
+    mujoco.mj_kinematics(robot.model, data)
+    assert np.ptp([data.xpos[robot.model.body(f"ball_{n}").id][2] for n, *_ in LEGS]) < 1e-3
+
+
 def test_a_pose_outside_of_a_range_is_put_into_it_and_named():
     robot = case("start/key_outside_range.xml").load()
     assert [note for note in robot.notes if "knee_right" in note and "0.1 rad instead of 0.6" in note]

@@ -167,6 +167,17 @@ def test_visual_meshes_are_not_needed(tmp_path):
     assert read(tmp_path, LEGS.replace("</link>", seen)).spec.compile().ngeom == 3
 
 
+@pytest.mark.parametrize(
+    "shape", ['<sphere radius="0.00"/>', '<cylinder radius="0.1" length="0"/>', '<box size="0.1 0 0.1"/>']
+)
+def test_shapes_of_no_size_touch_nothing(tmp_path, shape):
+    model = read(
+        tmp_path, LEGS.replace("</collision>", f"</collision><collision><geometry>{shape}</geometry></collision>", 1)
+    )
+    same = read(tmp_path, LEGS)
+    assert model.spec.compile().ngeom == same.spec.compile().ngeom == 3
+
+
 def test_masses_are_those_that_are_stated(tmp_path):
     # MuJoCo would make of a link that states none a solid of water.
     plain = link("cover", '<box size="1 1 1"/>', inertial="")
