@@ -57,6 +57,32 @@ def act(policy, nodes):
 # The networks that each loss trains.
 
 
+def test_td3_clips_the_targets_actions_to_those_that_robots_take():
+    """Critics of noisy target actions are asked for actions in [-1, 1] only (equation 9)."""
+    algorithm, asked = build("td3"), []
+    values_of = algorithm.loss._values
+
+    def recording(name, inputs, params, action=None):
+        asked.append((name, action))
+        return values_of(name, inputs, params, action)
+
+    algorithm.loss._values = recording
+    algorithm.loss.policy_noise, algorithm.loss.noise_clip = 10.0, 10.0
+    algorithm.loss.of_critics(batch())
+    action = dict(asked)["target critics"]
+    # With noise that large nearly all are at a bound.
+    assert action.abs().max() == 1.0 and (action.abs() == 1.0).float().mean() > 0.5
+
+
+def test_sac_lowers_the_temperature_of_a_policy_that_is_more_random_than_asked():
+    """A new policy has more entropy than -1, the target for one action, and Adam's first step is the learning rate."""
+    algorithm = build("sac")
+    before = float(algorithm.loss.log_alpha.detach())
+    algorithm.update(batch())
+    rate = algorithm.settings.learning_rate
+    assert float(algorithm.loss.log_alpha.detach()) - before == pytest.approx(-rate, rel=1e-3)
+
+
 @every_algorithm
 def test_a_step_of_one_optimiser_leaves_the_other_networks_alone(name):
     for stepped in groups(build(name)):

@@ -93,6 +93,22 @@ def test_restores_what_it_saved(collected):
     assert (first == other.sample()).all()
 
 
+def test_a_buffer_restored_before_it_is_full_is_filled_like_the_other(collected):
+    """Rows that were never written hold no final frame, so that writing them frees none."""
+    buffer = fill(FrameBuffer(1000 * ROBOTS, 8, HISTORY, 3, GAMMA), collected[:, :80], 40)
+    other = FrameBuffer(1000 * ROBOTS, 8, HISTORY, 3, GAMMA)
+    other.load_state_dict(buffer.state_dict(), iter([(0, buffer.rows_between(0, buffer.total))]))
+    for one in (buffer, other):
+        fill(one, collected[:, 80:160], 40)
+        assert int((one.rows_between(0, 160)["last"] >= 0).sum()) + len(one._free) == len(one._last["nodes"])
+        assert len(set(one._free)) == len(one._free)
+    for _ in range(20):
+        torch.manual_seed(5)
+        first = buffer.sample()
+        torch.manual_seed(5)
+        assert (first == other.sample()).all()
+
+
 @pytest.mark.parametrize("capacity", [1000, 30])  # rows
 @pytest.mark.parametrize("restored", [False, True])
 def test_once_cleared_it_draws_only_what_came_after(collected, capacity, restored):

@@ -200,6 +200,16 @@ def test_stale_readings_are_refused(policy, time, now, said):
     assert refused.value.command == last
 
 
+@pytest.mark.parametrize(("periods", "accepted"), [(0.45, False), (0.55, True), (1.45, True), (1.55, False)])
+def test_readings_may_come_half_a_period_early_or_late(policy, periods, accepted):
+    policy.step(still(policy), 0.0)
+    if accepted:
+        policy.step(still(policy), periods * 0.02)
+        return
+    with pytest.raises(ReadingError, match="Stale|missed"):
+        policy.step(still(policy), periods * 0.02)
+
+
 def test_after_missed_steps_a_new_history_begins(policy):
     network = with_network(policy, 0.0)
     policy.step(still(policy), 0.0)
