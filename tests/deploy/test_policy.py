@@ -206,7 +206,7 @@ def test_readings_may_come_half_a_period_early_or_late(policy, periods, accepted
     if accepted:
         policy.step(still(policy), periods * 0.02)
         return
-    with pytest.raises(ReadingError, match="Stale|missed"):
+    with pytest.raises(ReadingError, match=r"Stale|missed"):
         policy.step(still(policy), periods * 0.02)
 
 
