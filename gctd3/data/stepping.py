@@ -7,6 +7,8 @@ import math
 import mujoco
 import numpy as np
 import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from gctd3.errors import ConfigError
@@ -156,15 +158,34 @@ class Stepping(torch.nn.Module):
         side = sway[:, None].expand_as(up)
         return torch.einsum("nfd,fda->na", self._length * torch.stack([forward, side, up], dim=-1), self.joints)
 
-    def gait(self, steps: int) -> Tensor:
-        """Return the actions of the fittest gait in the first ``steps`` control steps of an episode, ``[steps, A]``."""
+    def fittest(self, steps: int) -> OpenLoop | None:
+        """Return the fittest gait as a policy for episodes of up to ``steps`` control steps, if one was tried."""
         best = int(self.fitness.argmax())
-        genes = {
-            name: getattr(self, f"best_{name}")[best].expand(steps, *getattr(self, name).shape[1:])
-            for name in self.GENES
-        }
+        if not math.isfinite(float(self.fitness[best])):
+            return None
+        genes = {name: getattr(self, f"best_{name}")[best] for name in self.GENES}
+        genes = {name: value.expand(steps, *value.shape) for name, value in genes.items()}
         cycles = torch.arange(1, steps + 1) * self._dt * self._pendulum * genes["frequency"]
-        return self._act(genes, cycles).clamp(-1.0, 1.0)
+        return OpenLoop(self._act(genes, cycles).clamp(-1.0, 1.0))
+
+
+class OpenLoop(TensorDictModuleBase):
+    """Act in all robots by a list of actions, whatever they observe, from the start of an episode that all begin.
+
+    Args:
+        actions: Action of each control step, shape ``[steps, A]``; the last one is repeated.
+    """
+
+    def __init__(self, actions: Tensor) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = [], ["action"]
+        self.actions, self.taken = actions, 0
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the next action of the list for every robot."""
+        action = self.actions[min(self.taken, len(self.actions) - 1)]
+        self.taken += 1
+        return tensordict.set("action", action.expand(*tensordict.batch_size, -1).clone())
 
 
 def _groups(robot: Robot) -> tuple[Tensor, Tensor]:

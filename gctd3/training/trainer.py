@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import math
 import time
@@ -25,10 +26,11 @@ from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.data.replay import Replay
+from gctd3.data.stepping import Stepping
 from gctd3.envs.factory import EnvRecipe, build_env
 from gctd3.errors import NumericalError, WorkerError
 from gctd3.evaluation.rollout import evaluate
-from gctd3.files import new_directory, save_tree, write_manifest
+from gctd3.files import new_directory, save_tree, write_manifest, write_text
 from gctd3.setup.setup import Setup
 from gctd3.signals import StopRequest
 from gctd3.tasks.simulated_task import SimulatedTask
@@ -43,6 +45,7 @@ from gctd3.viz.film import FPS, clip
 
 MOST_TIME = 0.03  # share of the wall-clock that checkpoints may take
 POST_MORTEM = "post_mortem"
+OPEN_LOOP = "open_loop.json"  # what the warm-up's fittest gait reaches without a policy
 
 
 class Trainer:
@@ -207,6 +210,8 @@ class Trainer:
 
     def _evaluate(self) -> dict[str, float]:
         settings, now = self.settings, self.counters
+        if not (self.directory / OPEN_LOOP).exists():
+            self._evaluate_open_loop()
         policy = self.algorithm.policy()
         result = evaluate(policy, self.evaluation_env, self.setup.task, settings.evaluation.seed)
         metrics: dict[str, float] = {
@@ -226,6 +231,21 @@ class Trainer:
         if settings.video:
             self.log.clip(clip(policy, cast(SimulatedTask, self.setup.task), settings.evaluation.seed), FPS, now.frames)
         return metrics
+
+    def _evaluate_open_loop(self) -> None:
+        """Evaluate the warm-up's fittest gait without a policy, to see later what learning has added."""
+        rhythm, task = self.explorer.rhythm, self.setup.task
+        if not (isinstance(rhythm, Stepping) and isinstance(task, SimulatedTask)):
+            return
+        gait = rhythm.fittest(task.time_limit)
+        if gait is None:
+            return
+        metrics = evaluate(gait, self.evaluation_env, task, self.settings.evaluation.seed).summary()
+        tqdm.write(
+            f"The fittest open-loop gait of the warm-up: {metrics['distance_mean']:.1f} m at "
+            f"{metrics['velocity_mean']:.2f} m/s, success {metrics['success_rate']:.0%}."
+        )
+        write_text(self.directory / OPEN_LOOP, json.dumps(metrics, indent=1) + "\n")
 
     def _wall(self) -> float:
         return self.counters.wall_s + time.monotonic() - self._clock

@@ -1,9 +1,13 @@
 """The warm-up whose feet step: where feet go, how gaits evolve, and that it can be continued."""
 
+import json
+
 import mujoco
 import numpy as np
 import pytest
 import torch
+from running import command, tiny
+from tensordict import TensorDict
 
 from gctd3.data.stepping import Stepping
 from gctd3.envs.simulation import Simulation
@@ -133,3 +137,30 @@ def test_gaits_that_evolve_walk(quadruped):
             fittest.append(float(gaits.fitness.median()))
     # What half of the robots remember is fitter than at first, and covers ground.
     assert fittest[1] > max(fittest[0], 0.1)
+
+
+def test_the_fittest_gait_can_be_played_without_noise(quadruped):
+    """Before a trial there is none; then its actions are those of the gait from the start of an episode."""
+    gaits = stepping(quadruped, trial=0.04)
+    assert gaits.fittest(3) is None
+    nothing = torch.zeros(4, dtype=torch.bool)
+    gaits(torch.ones(4, dtype=torch.bool), torch.zeros(4))
+    for step in range(1, 3):
+        gaits(nothing, 0.01 * step * torch.tensor([0.0, 1.0, 3.0, 2.0]))
+    assert int(gaits.fitness.argmax()) == 2
+    played = gaits.fittest(5)
+    genes = {name: getattr(gaits, f"best_{name}")[2:3] for name in gaits.GENES}
+    cycle = 0.02 * gaits._pendulum * float(genes["frequency"])
+    for step in range(1, 5):
+        action = played(TensorDict({}, [7]))["action"]
+        expected = gaits._act(genes, torch.tensor([step * cycle])).clamp(-1.0, 1.0)
+        torch.testing.assert_close(action, expected.expand(7, -1), rtol=1e-4, atol=1e-5)
+
+
+def test_a_training_says_how_far_that_gait_gets(tmp_path, capsys):
+    run = tmp_path / "run"
+    asked = ["robot=quadruped", "exploration.warmup=stepping", "exploration.gait_time=0.2", "robot.action_scale=0.3"]
+    assert command("train", *tiny(run, *asked)) == 0
+    assert capsys.readouterr().out.count("The fittest open-loop gait of the warm-up: ") == 1
+    reached = json.loads((run / "open_loop.json").read_text())
+    assert reached["episodes"] == 2 and reached["distance_mean"] < 15.1
