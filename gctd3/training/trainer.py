@@ -235,9 +235,9 @@ class Trainer:
     def _evaluate_open_loop(self) -> None:
         """Evaluate the warm-up's fittest gait without a policy, to see later what learning has added."""
         rhythm, task = self.explorer.rhythm, self.setup.task
-        if not (isinstance(rhythm, Stepping) and isinstance(task, SimulatedTask)):
+        if not isinstance(rhythm, Stepping) or "film" not in task.abilities:
             return
-        gait = rhythm.fittest(task.time_limit)
+        gait = rhythm.fittest(cast(SimulatedTask, task).time_limit)
         if gait is None:
             return
         metrics = evaluate(gait, self.evaluation_env, task, self.settings.evaluation.seed).summary()
