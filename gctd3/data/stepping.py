@@ -178,7 +178,7 @@ class OpenLoop(TensorDictModuleBase):
 
     def __init__(self, actions: Tensor) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = [], ["action"]
+        self.in_keys, self.out_keys = list[str](), ["action"]
         self.actions, self.taken = actions, 0
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
