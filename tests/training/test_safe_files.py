@@ -17,7 +17,7 @@ from running import command, tiny, train
 import gctd3
 from gctd3.config.build import again, packages
 from gctd3.errors import RunError
-from gctd3.files import checksum, load_tree, read_manifest, write_manifest
+from gctd3.files import checksum, load_tree, new_directory, read_manifest, write_manifest
 from gctd3.runs.load import load_policy
 from gctd3.training.saved_configuration import load_settings
 
@@ -202,3 +202,22 @@ def test_nothing_in_the_library_could():
             if re.search(forbidden, line) and re.match(r"\s*(from|import)\b|.*\w\(", line):
                 pytest.fail(f"{source}:{number}: {line}")
             assert not re.search(yaml_load, line), f"{source}:{number}: {line}"
+
+
+def test_a_directory_that_a_killed_process_left_is_made_anew(tmp_path):
+    """The half-written directory of a write that was killed is neither in the way nor in the result."""
+    left = tmp_path / ".step-1.tmp"
+    left.mkdir()
+    (left / "torn").write_text("half")
+    with new_directory(tmp_path / "step-1") as aside:
+        assert aside == left
+        (aside / "whole").write_text("all")
+    assert [path.name for path in tmp_path.iterdir()] == ["step-1"]
+    assert [path.name for path in (tmp_path / "step-1").iterdir()] == ["whole"]
+
+
+def test_a_directory_whose_writing_fails_leaves_nothing(tmp_path):
+    with pytest.raises(OSError, match="full"), new_directory(tmp_path / "step-1") as aside:
+        (aside / "torn").write_text("half")
+        raise OSError("full")
+    assert not list(tmp_path.iterdir())
