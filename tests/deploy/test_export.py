@@ -240,5 +240,15 @@ def test_contracts_with_a_contradiction_are_refused(robot):
     network = dataclasses.replace(contract.network, input_shape=(8, 12))
     with pytest.raises(ContractError, match=r"make \(8, 10\), not network.input_shape"):
         dataclasses.replace(contract, network=network)
+    # Slow control and a single frame are no contradiction.
+    assert dataclasses.replace(contract, control_rate_hz=0.5).control_rate_hz == 0.5
+    one = dataclasses.replace(contract.network, input_shape=(8, 2))
+    assert dataclasses.replace(contract, network=one, history_frames=1).history_frames == 1
+    for wrong in (
+        {"control_rate_hz": 0.0},
+        {"history_frames": 0, "network": dataclasses.replace(one, input_shape=(8, 0))},
+    ):
+        with pytest.raises(ContractError, match="control_rate_hz and history_frames are above 0"):
+            dataclasses.replace(contract, **wrong)
     with pytest.raises(ContractError, match="start_rad and centre_rad lie between"):
         dataclasses.replace(contract, servos=(dataclasses.replace(contract.servos[0], low_rad=1.0),))

@@ -63,6 +63,8 @@ def test_reflection_is_what_replay_mirrors(either):
     nodes = torch.randn(4, 8, 6)
     by_matrix = nodes.flatten(-2) @ torch.from_numpy(reflection.nodes(6).matrix).float()
     assert torch.equal(by_matrix.reshape(4, 8, 6), mirror.reflect("nodes", nodes))
+    # Of one frame it is the frame's own.
+    assert np.array_equal(reflection.nodes(2).matrix, reflection.frame.matrix)
     for width in (7, 2 + len(STATIC), 0):
         with pytest.raises(ValueError, match=f"2 features a frame cannot be {width} features wide"):
             reflection.nodes(width)

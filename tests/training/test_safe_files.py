@@ -17,7 +17,7 @@ from running import command, tiny, train
 import gctd3
 from gctd3.config.build import again, packages
 from gctd3.errors import RunError
-from gctd3.files import checksum, load_tree, new_directory, read_manifest, write_manifest
+from gctd3.files import checksum, load_tree, new_directory, new_file, read_manifest, write_manifest
 from gctd3.runs.load import load_policy
 from gctd3.training.saved_configuration import load_settings
 
@@ -214,6 +214,15 @@ def test_a_directory_that_a_killed_process_left_is_made_anew(tmp_path):
         (aside / "whole").write_text("all")
     assert [path.name for path in tmp_path.iterdir()] == ["step-1"]
     assert [path.name for path in (tmp_path / "step-1").iterdir()] == ["whole"]
+
+
+@pytest.mark.parametrize("begun", [True, False])
+def test_a_file_whose_writing_fails_leaves_nothing_and_says_why(tmp_path, begun):
+    with pytest.raises(OSError, match="full"), new_file(tmp_path / "policy") as aside:
+        if begun:
+            aside.write_text("half")
+        raise OSError("full")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_directory_whose_writing_fails_leaves_nothing(tmp_path):
