@@ -343,7 +343,7 @@ def _read(place: str, feet: int, row: dict[str, Any]) -> None:
 
     torch.set_num_threads(1)
     # As the command does; a name of conf/robot is one, too.
-    chosen = robot_file(f"robot={place}")
+    chosen = robot_file([f"robot={place}"])
     small = [f"env.num_envs={ROBOTS}", "env.threads=1", "env.check=true", "threads=1", "logger=none"]
     small += ["total_frames=300", "exploration.learning_starts=250", "gradient_steps=1"]
     small += ["evaluation.episodes=1", "seed=0"]

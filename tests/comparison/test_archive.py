@@ -41,7 +41,7 @@ def test_a_report_of_kept_runs_has_the_same_numbers(finished, tmp_path, monkeypa
             tmp_path / "out" / "figures" / name
         ).read_bytes()
     text = (tmp_path / "again" / "index.html").read_text(encoding="utf-8")
-    assert text.count("no filmstrip. Of gctd3/") == 1 and "there are numbers only, no policy" in text
+    assert text.count("no filmstrip. gctd3/") == 1 and "has numbers only, no policy." in text
     # A report of the runs themselves, all evaluated by now, has the same page.
     assert command("report", "runs=runs", "out=once_more", "threads=1") == 0
     pages = [(tmp_path / out / "index.html").read_text(encoding="utf-8") for out in ("out", "once_more")]
