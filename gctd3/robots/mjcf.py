@@ -11,7 +11,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from gctd3.errors import RobotError, suggest
+from gctd3.errors import RobotError, one_line, suggest
 
 Kind = Literal["hinge", "slide", "ball", "free"]
 _KINDS: dict[int, Kind] = {
@@ -97,7 +97,7 @@ def load_mjcf(source: str | Path | mujoco.MjModel | mujoco.MjSpec) -> tuple[mujo
     except UnicodeDecodeError as error:
         raise RobotError(f"{file} has a name that is not UTF-8: {error}") from error
     except ValueError as error:
-        raise RobotError(f"{file} is not an MJCF that MuJoCo can compile: {error}") from error
+        raise RobotError(f"{file} is not an MJCF that MuJoCo can compile: {one_line(error)}") from error
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:

@@ -266,6 +266,33 @@ def test_a_key_off_the_ground_is_put_on_it(tmp_path):
     assert any("lowered by 0.219 m" in note for note in robot.notes)
 
 
+@pytest.mark.parametrize(
+    "wrong", ['qpos="0 0 .5 1 0 0 0"', f'qpos="{" 1" * 20}"', 'ctrl="1"', 'act="1 2 3"', 'mpos="1"']
+)
+@pytest.mark.parametrize("name", ["stand", ""])
+def test_a_key_of_the_wrong_size_is_passed_over_by_name(tmp_path, wrong, name):
+    path = dog(
+        tmp_path, rest=f"<keyframe><key/><key {f'name={chr(34)}{name}{chr(34)}' if name else ''} {wrong}/></keyframe>"
+    )
+    # Parts without names are named for the sensors that are added.
+    path.write_text(path.read_text().replace('<body name="shank_fl"', "<body"))
+    robot = RobotSettings(name=str(path)).load()
+    assert len(robot.feet) == 4
+    if name:
+        assert any(note.startswith("Key 'stand' is ") for note in robot.notes)
+        with pytest.raises(
+            RobotError, match="(the size of key 'stand' does not fit|key 'stand': it has not one number)"
+        ):
+            RobotSettings(name=str(path), pose="stand").load()
+
+
+def test_what_mujoco_says_takes_one_line(tmp_path):
+    path = dog(tmp_path, actuator='<motor joint="{n}x"/>')
+    with pytest.raises(RobotError, match="unknown transmission target 'hip_flx'") as caught:
+        RobotSettings(name=str(path)).load()
+    assert "\n" not in str(caught.value)
+
+
 def test_a_key_in_which_feet_hang_in_the_air_is_passed_over(tmp_path):
     pose = "0 0 .4 1 0 0 0 1.2 -2.4 1.2 -2.4 .2 -.4 .2 -.4"
     path = dog(tmp_path, rest=f'<keyframe><key name="home" qpos="{pose}"/></keyframe>')
