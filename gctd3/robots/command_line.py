@@ -67,7 +67,6 @@ def _is_file(place: str) -> bool:
     """Tell whether a robot is given by its file rather than by the name of an option."""
     if conf().joinpath("robot", f"{place}.yaml").is_file():
         return False
-    from gctd3.robots.sources import SUFFIXES, package_of
+    from gctd3.robots.sources import SUFFIXES, is_path, package_of
 
-    path = Path(place).expanduser()
-    return path.suffix in SUFFIXES or package_of(place) is not None or path.is_file()
+    return Path(place).suffix in SUFFIXES or package_of(place) is not None or is_path(place)

@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from gctd3.errors import RobotError
+from gctd3.errors import RobotError, one_line
 
 _READ_BY_MUJOCO = (".stl", ".obj", ".msh")
 _ROOT = re.compile(rb"<\s*([A-Za-z_][\w:.-]*)")

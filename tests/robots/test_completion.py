@@ -281,14 +281,14 @@ def test_a_key_of_the_wrong_size_is_passed_over_by_name(tmp_path, wrong, name):
     if name:
         assert any(note.startswith("Key 'stand' is ") for note in robot.notes)
         with pytest.raises(
-            RobotError, match="(the size of key 'stand' does not fit|key 'stand': it has not one number)"
+            RobotError, match=r"(the size of key 'stand' does not fit|key 'stand': it has not one number)"
         ):
             RobotSettings(name=str(path), pose="stand").load()
 
 
 def test_what_mujoco_says_takes_one_line(tmp_path):
     path = dog(tmp_path, actuator='<motor joint="{n}x"/>')
-    with pytest.raises(RobotError, match="unknown transmission target 'hip_flx'") as caught:
+    with pytest.raises(RobotError, match=r"unknown transmission target 'hip_flx'") as caught:
         RobotSettings(name=str(path)).load()
     assert "\n" not in str(caught.value)
 

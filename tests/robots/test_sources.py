@@ -78,6 +78,7 @@ def test_shipped_robots_come_first_and_say_so(tmp_path, monkeypatch):
         ("none.mjcf", "No MJCF file at none.mjcf."),
         ("none.urdf", "No URDF file at none.urdf."),
         ("folder/none", "No MJCF file at folder/none."),
+        (".", ". is a folder; a robot is an MJCF or a URDF file. It has some.mjcf."),
         ("centipede", "No robot 'centipede'."),
         ("some.xacro", "xacro some.xacro > some.urdf"),
         ("some.usd", "got a .usd"),
@@ -264,6 +265,8 @@ def test_the_option_fits_the_base(tmp_path, capsys, monkeypatch):
         "free.xml,planar.xml": "free.xml has a free base and planar.xml has not",
         "biped,free.xml": "biped is an option and others are files",
         "none.urdf": "No URDF file at none.urdf.",
+        "./": "./ is a folder; a robot is an MJCF or a URDF file. It has free.xml, it's.xml, legs.urdf, planar.xml.",
+        "/none/here": "No MJCF file at /none/here.",
         "no_package:a.xml": "no package 'no_package' is installed",
     }.items():
         assert command("train", "-m", f"robot={names}") == 2
