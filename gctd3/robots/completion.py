@@ -100,6 +100,8 @@ def complete(
     if pose is None:
         pose = _find(draft, settings, floor, feet)
     settled = draft.model.qpos0 if pose is None else draft.qpos_of(pose)
+    if settings.feet is not None:
+        _check_feet(draft, feet, settled, floor)
     held = hold_joints(draft, list(settings.hold), draft.pose_of(settled)) if settings.hold else {}
     floor = _geom(draft.model, draft.model.geom(floor).name) if held else floor
     _servos(draft, settings, limits or {}, pose, feet, floor)
@@ -240,6 +242,17 @@ def _named_feet(draft: Draft, names: str | Sequence[str], floor: int) -> list[tu
     if not feet:
         raise RobotError(f"{draft.file}: feet must name at least one body, got none.")
     return feet
+
+
+def _check_feet(draft: Draft, feet: Sequence[str], qpos: np.ndarray, floor: int) -> None:
+    """Raise a :class:`.RobotError` if the robot would stand on other parts than the feet that are named."""
+    model = draft.model
+    below = home_pose.below_feet(model, draft.root, floor, qpos, [draft.body_id(name) for name in feet])
+    if below is not None:
+        raise RobotError(
+            f"{draft.file}: the feet {listed(list(feet))} do not reach the ground: in the standing pose "
+            f"{body_name(model, below[0])} is {below[1]:.2g} m lower."
+        )
 
 
 def _choose_key(

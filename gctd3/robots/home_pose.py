@@ -134,6 +134,26 @@ def lowest_part(model: mujoco.MjModel, root: int, floor: int, qpos: np.ndarray, 
     return None
 
 
+def below_feet(
+    model: mujoco.MjModel, root: int, floor: int, qpos: np.ndarray, feet: Sequence[int]
+) -> tuple[int, float] | None:
+    """Return the lowest body of the robot, and by how much (m), if it ends clearly below all of the feet.
+
+    Bodies between the root and a foot do not count, nor does what is fixed to a foot.
+    """
+    data, weld = _placed(model, qpos), model.body_weldid
+    fixed = {int(weld[foot]) for foot in feet}
+    others = {body for body in bodies_below(model, root) if int(weld[body]) not in fixed}
+    others -= {body for foot in feet for body in _above(model, foot)} - {root}
+    lifts = {body: _lift(model, data, body, floor) for body in others}
+    if not lifts:
+        return None
+    lowest = min(lifts, key=lambda body: lifts[body])
+    depth = min(_lift(model, data, foot, floor) for foot in feet) - lifts[lowest]
+    tall = float(data.xpos[bodies_below(model, root), 2].max() - data.geom_xpos[floor, 2]) - lifts[lowest]
+    return (lowest, depth) if depth > _TOUCHING * tall else None
+
+
 def lowered(model: mujoco.MjModel, root: int, qpos: np.ndarray, lift: float) -> np.ndarray:
     """Return a pose moved down by ``lift`` (m); as it is if the root has no joint along z."""
     moved = qpos.copy()

@@ -286,6 +286,14 @@ def test_a_key_of_the_wrong_size_is_passed_over_by_name(tmp_path, wrong, name):
             RobotSettings(name=str(path), pose="stand").load()
 
 
+@pytest.mark.parametrize("foot, lower", [("trunk", "shank_fl is 0.38 m"), ("stub", "shank_fl is 0.3")])
+def test_feet_that_do_not_reach_the_ground_are_refused(tmp_path, foot, lower):
+    inside = '<body name="stub" pos=".3 0 0"><joint name="nod" axis="0 1 0" range="-9 9"/><geom size=".1"/></body>'
+    path = dog(tmp_path, inside=inside)
+    with pytest.raises(RobotError, match=f"the feet {foot} do not reach the ground: in the standing pose {lower}"):
+        RobotSettings(name=str(path), feet=[foot]).load()
+
+
 def test_what_mujoco_says_takes_one_line(tmp_path):
     path = dog(tmp_path, actuator='<motor joint="{n}x"/>')
     with pytest.raises(RobotError, match=r"unknown transmission target 'hip_flx'") as caught:
