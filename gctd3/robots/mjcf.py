@@ -60,8 +60,10 @@ def find_mjcf(path: str | Path) -> Path:
         return file
     shipped = shipped_robots()
     if str(path) not in shipped:
+        option = resources.files("gctd3.conf").joinpath("robot", f"{path}.yaml").is_file()
+        known = f" robot={path} is for the commands, with settings and without a file." if option else ""
         raise RobotError(
-            f"No robot {str(path)!r}.{suggest(path, shipped)} "
+            f"No robot {str(path)!r}.{known or suggest(path, shipped)} "
             f"Give a path to an .xml or .urdf file, or one of {', '.join(shipped)}."
         )
     return shipped[str(path)]

@@ -107,10 +107,14 @@ def find_source(settings: RobotSettings) -> Source:
                 f"places {', '.join(places)}; got {settings.source!r}.{suggest(settings.source, packages)}"
             )
         places = tuple(chosen)
-    for place in places:
-        package = package_of(place)
-        if package is None or is_installed(package):
-            return find_place(place)
+    present = [place for place in places if (package := package_of(place)) is None or is_installed(package)]
+    if present:
+        try:
+            return find_place(present[0])
+        except RobotError as error:
+            # Another file is another robot, so that it is not taken unasked.
+            hint = f" robot.source={present[1]} takes another that is installed." if present[1:] else ""
+            raise RobotError(f"{error}{hint}") from error
     first, *others = dict.fromkeys(pip_name(package_of(place) or place) for place in places)
     instead = f" (or {', '.join(others)})" if others else ""
     raise RobotError(
