@@ -115,7 +115,7 @@ def complete(
     draft.compile()
     _clip_pose(draft)
     _passive(draft)
-    _try(draft, feet)
+    _try(draft, feet, floor)
     return Completed(draft.model, spec, tuple(draft.notes), held, draft.root_name, tuple(feet))
 
 
@@ -438,7 +438,7 @@ def _passive(draft: Draft) -> None:
         draft.notes.append(f"Nothing drives {listed(passive)}: they move, but are no nodes and have no action.")
 
 
-def _try(draft: Draft, feet: Sequence[str]) -> None:
+def _try(draft: Draft, feet: Sequence[str], floor: int) -> None:
     """Hold the standing pose for a while; note a fall, servos that are too weak, and shanks on the ground."""
     model, root = draft.model, draft.root
     if model.nu != len(driven_joints(model)) or not len(base_joints(model, root)):
@@ -453,7 +453,15 @@ def _try(draft: Draft, feet: Sequence[str]) -> None:
     resting = [name for name, address in sensors.items() if address in held.touching]
     added = {s.objname: s for s in draft.spec.sensors if s.name == "" and s.objname in draft.sensed}
     gone = [name for name in resting if name in added]
-    if gone and held.fell is None:
+    if held.fell is not None:
+        return
+    if gone:
+        # Soft servos sag; an action of 0 will ask them for what carries the weight.
+        ids = [draft.body_id(name) for name in feet]
+        command = home_pose.carrying_command(model, standing_pose(model), ids, floor)
+        held = home_pose.holds(model, standing_pose(model), root, [sensors[name] for name in gone], command=command)
+        gone = [name for name in gone if held.fell is not None or sensors[name] in held.touching]
+    if gone:
         for name in gone:
             draft.spec.delete(added[name])
         draft.compile()

@@ -192,6 +192,17 @@ def carried_load(model: mujoco.MjModel, qpos: np.ndarray, feet: Sequence[int], f
     return np.asarray(weight - data.qfrc_passive - forces @ pushes)
 
 
+def carrying_command(model: mujoco.MjModel, qpos: np.ndarray, feet: Sequence[int], floor: int) -> np.ndarray:
+    """Return the desired angle of each servo whose error carries the robot's weight in a pose, shape ``[nu]`` (rad)."""
+    joints, load = driven_joints(model), carried_load(model, qpos, feet, floor)
+    torque = load[[int(model.jnt_dofadr[j]) for j in joints]]
+    limited = model.actuator_forcelimited.astype(bool)
+    low, high = np.where(limited, model.actuator_forcerange.T, [[-np.inf], [np.inf]])
+    home = qpos[[int(model.jnt_qposadr[j]) for j in joints]]
+    command = home + np.clip(torque, low, high) / model.actuator_gainprm[:, 0]
+    return np.asarray(np.clip(command, *model.actuator_ctrlrange.T))
+
+
 def clipped(model: mujoco.MjModel, qpos: np.ndarray, joints: Sequence[int]) -> tuple[np.ndarray, list[int]]:
     """Return a pose with the given joints in their ranges and those of their servos, and which of them were outside."""
     moved, outside = qpos.copy(), list[int]()

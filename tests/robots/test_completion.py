@@ -12,6 +12,7 @@ from gctd3.envs.simulation import Simulation
 from gctd3.errors import RobotError
 from gctd3.robots.completion import complete
 from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.ground import contact_sensors
 from gctd3.robots.robot import Robot
 from gctd3.robots.servo_settings import ServoSettings
 from gctd3.robots.settings import RobotSettings
@@ -501,6 +502,23 @@ def test_a_servo_that_is_too_weak_is_named(tmp_path):
     path = dog(tmp_path, '<position joint="{n}" kp="400" kv="4" ctrlrange="-3 3" forcerange="-2 2"/>')
     notes = RobotSettings(name=str(path)).load().notes
     assert any("falling" in note or "all of their torque" in note for note in notes)
+
+
+def test_soft_servos_that_sag_keep_the_sensors_of_the_shanks(tmp_path):
+    """Told the pose itself they sag onto their shanks; an action of 0 carries the weight."""
+    pose = "0 0 .35 1 0 0 0" + " .7 -1.4" * 4
+    rest = f'<keyframe><key name="home" qpos="{pose}"/></keyframe>'
+    path = dog(tmp_path, '<position joint="{n}" kp="15" kv=".5" ctrlrange="-3 3"/>', rest=rest)
+    robot = RobotSettings(name=str(path)).load()
+    assert not any("rests on" in note for note in robot.notes)
+    data, sensors = mujoco.MjData(robot.model), contact_sensors(robot.model, robot.base.root)
+    touched = {}
+    for name, command in (("pose", robot.standing_qpos[7:]), ("zero", robot.standing_command)):
+        mujoco.mj_resetData(robot.model, data)
+        data.qpos[:], data.ctrl[:] = robot.standing_qpos, command
+        mujoco.mj_step(robot.model, data, 1500)
+        touched[name] = {body for body, address in sensors.items() if data.sensordata[address]} - set(robot.feet)
+    assert touched == {"pose": {"thigh_hl", "thigh_hr"}, "zero": set()}
 
 
 # Joints.
