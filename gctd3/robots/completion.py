@@ -261,8 +261,8 @@ def _choose_key(
     """Return name and pose of the key in which the robot stands; ``None`` if there is none."""
     model, root = draft.model, draft.root
     keys = {model.key(k).name or f"key_{k}": k for k in reversed(range(model.nkey))}
-    if chosen in draft.dropped:
-        raise RobotError(f"{draft.file}: the size of key {chosen!r} does not fit the joints and actuators.")
+    if chosen is not None and chosen in draft.dropped:
+        raise RobotError(f"{draft.file}: the robot cannot stand in key {chosen!r}: {draft.dropped[chosen]}.")
     if chosen is not None and chosen not in keys:
         raise RobotError(
             f"{draft.file} has no key {chosen!r}.{suggest(chosen, keys)} Its keys are {', '.join(keys) or 'none'}."
