@@ -58,6 +58,11 @@ class PerformanceWarning(UserWarning):
     """Warn that a computation works, but by a slower way than the one made for it."""
 
 
+def one_line(error: Exception) -> str:
+    """Return an error's message as one line without a full stop: MuJoCo's have several."""
+    return " ".join(str(error).split()).rstrip(".")
+
+
 def suggest(key: object, known: Iterable[str]) -> str:
     """Return ``" Did you mean ...?"`` if a name similar to ``key`` is known, else an empty string."""
     close = difflib.get_close_matches(str(key), list(known), n=1)

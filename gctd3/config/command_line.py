@@ -240,7 +240,8 @@ def explain(error: Exception, config: str, may_change: Sequence[str] = ()) -> st
     if not any(known.startswith(f"{group}.") for known in keys) and group in keys and chooses(f"{group}="):
         return f"Unknown key {key!r}: {_unchosen(group)}"
     siblings = [k for k in keys if k.rpartition(".")[0] == parent]
-    accepted = f" Accepted: {', '.join(siblings)}." if siblings else f" {parent} has no keys." if parent in keys else ""
+    none = f" {parent} has no keys; +{key}=... adds one." if parent in keys else ""
+    accepted = f" Accepted: {', '.join(siblings)}." if siblings else none
     if any(argument.startswith(f"{key}._target_=") for argument in sys.argv[1:]):
         return f"Unknown key {key!r}. To add it: +{key}._target_=...{accepted}"
     return f"Unknown key {key!r}.{nearest(key, keys)}{accepted}"

@@ -8,6 +8,7 @@ from gctd3.config.help import conf
 from gctd3.errors import ConfigError
 
 FREE = "free"  # the option for a robot of one's own whose base is free
+_DEFAULT = "biped"  # the option where none is chosen
 _LIBRARY = "library"  # the option with which all tasks of other libraries begin
 
 
@@ -16,7 +17,7 @@ def robot_file(arguments: list[str]) -> list[str]:
 
     Raises:
         RobotError: If there is no such file.
-        ConfigError: If several need different options.
+        ConfigError: If several need different options, or the task brings its own robot.
     """
     tasks = [argument.removeprefix("task=") for argument in arguments if argument.startswith("task=")]
     library = bool(tasks) and _brings_its_robot(tasks[-1])
@@ -27,6 +28,9 @@ def _rewritten(argument: str, library: bool) -> list[str]:
     key, _, value = argument.partition("=")
     places = value.split(",")
     if key != "robot" or not any(map(_is_file, places)):
+        if key == "robot" and library and value != _DEFAULT:
+            # Its keys would be those of a walk, which the task does not know.
+            raise ConfigError(f"{argument}: a library's task brings its own robot; leave {argument} out.")
         return [argument]
     # Imported late, so that --help is answered at once.
     from gctd3.robots.load import floats
@@ -67,7 +71,6 @@ def _is_file(place: str) -> bool:
     """Tell whether a robot is given by its file rather than by the name of an option."""
     if conf().joinpath("robot", f"{place}.yaml").is_file():
         return False
-    from gctd3.robots.sources import SUFFIXES, package_of
+    from gctd3.robots.sources import SUFFIXES, is_path, package_of
 
-    path = Path(place).expanduser()
-    return path.suffix in SUFFIXES or package_of(place) is not None or path.is_file()
+    return Path(place).suffix in SUFFIXES or package_of(place) is not None or is_path(place)

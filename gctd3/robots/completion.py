@@ -100,6 +100,8 @@ def complete(
     if pose is None:
         pose = _find(draft, settings, floor, feet)
     settled = draft.model.qpos0 if pose is None else draft.qpos_of(pose)
+    if settings.feet is not None:
+        _check_feet(draft, feet, settled, floor)
     held = hold_joints(draft, list(settings.hold), draft.pose_of(settled)) if settings.hold else {}
     floor = _geom(draft.model, draft.model.geom(floor).name) if held else floor
     _servos(draft, settings, limits or {}, pose, feet, floor)
@@ -113,7 +115,7 @@ def complete(
     draft.compile()
     _clip_pose(draft)
     _passive(draft)
-    _try(draft, feet)
+    _try(draft, feet, floor)
     return Completed(draft.model, spec, tuple(draft.notes), held, draft.root_name, tuple(feet))
 
 
@@ -242,12 +244,25 @@ def _named_feet(draft: Draft, names: str | Sequence[str], floor: int) -> list[tu
     return feet
 
 
+def _check_feet(draft: Draft, feet: Sequence[str], qpos: np.ndarray, floor: int) -> None:
+    """Raise a :class:`.RobotError` if the robot would stand on other parts than the feet that are named."""
+    model = draft.model
+    below = home_pose.below_feet(model, draft.root, floor, qpos, [draft.body_id(name) for name in feet])
+    if below is not None:
+        raise RobotError(
+            f"{draft.file}: the feet {listed(list(feet))} do not reach the ground: in the standing pose "
+            f"{body_name(model, below[0])} is {below[1]:.2g} m lower."
+        )
+
+
 def _choose_key(
     draft: Draft, chosen: str | None, floor: int, ends: Sequence[int], all_stand: bool
 ) -> tuple[str, np.ndarray] | None:
     """Return name and pose of the key in which the robot stands; ``None`` if there is none."""
     model, root = draft.model, draft.root
     keys = {model.key(k).name or f"key_{k}": k for k in reversed(range(model.nkey))}
+    if chosen is not None and chosen in draft.dropped:
+        raise RobotError(f"{draft.file}: the robot cannot stand in key {chosen!r}: {draft.dropped[chosen]}.")
     if chosen is not None and chosen not in keys:
         raise RobotError(
             f"{draft.file} has no key {chosen!r}.{suggest(chosen, keys)} Its keys are {', '.join(keys) or 'none'}."
@@ -423,7 +438,7 @@ def _passive(draft: Draft) -> None:
         draft.notes.append(f"Nothing drives {listed(passive)}: they move, but are no nodes and have no action.")
 
 
-def _try(draft: Draft, feet: Sequence[str]) -> None:
+def _try(draft: Draft, feet: Sequence[str], floor: int) -> None:
     """Hold the standing pose for a while; note a fall, servos that are too weak, and shanks on the ground."""
     model, root = draft.model, draft.root
     if model.nu != len(driven_joints(model)) or not len(base_joints(model, root)):
@@ -438,7 +453,15 @@ def _try(draft: Draft, feet: Sequence[str]) -> None:
     resting = [name for name, address in sensors.items() if address in held.touching]
     added = {s.objname: s for s in draft.spec.sensors if s.name == "" and s.objname in draft.sensed}
     gone = [name for name in resting if name in added]
-    if gone and held.fell is None:
+    if held.fell is not None:
+        return
+    if gone:
+        # Soft servos sag; an action of 0 will ask them for what carries the weight.
+        ids = [draft.body_id(name) for name in feet]
+        command = home_pose.carrying_command(model, standing_pose(model), ids, floor)
+        held = home_pose.holds(model, standing_pose(model), root, [sensors[name] for name in gone], command=command)
+        gone = [name for name in gone if held.fell is not None or sensors[name] in held.touching]
+    if gone:
         for name in gone:
             draft.spec.delete(added[name])
         draft.compile()

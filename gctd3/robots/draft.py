@@ -11,7 +11,7 @@ from typing import TypeVar
 import mujoco
 import numpy as np
 
-from gctd3.errors import RobotError, suggest
+from gctd3.errors import RobotError, one_line, suggest
 from gctd3.robots.mjcf import base_joints, bodies_below, body_name, joint_name, root_body
 
 T = TypeVar("T")
@@ -31,18 +31,21 @@ class Draft:
         edited: Whether something was changed.
         sensed: Names of the bodies that were given a sensor of ground contact.
         short: Names of the keys whose poses do not have a number for each coordinate.
+        dropped: Why keys are left out that cannot be used, by name.
     """
 
     def __init__(self, spec: mujoco.MjSpec, file: Path, root: str | None = None) -> None:
         self.spec, self.file = spec, file
         self.notes: list[str] = []
         self.edited = False
+        self._named = False
         self.sensed: tuple[str, ...] = ()
         # MuJoCo fills keys that are too short with numbers of the reference pose, silently.
-        written = [len(key.qpos) for key in spec.keys]
+        self._written = [len(key.qpos) for key in spec.keys]
+        self.dropped: dict[str, str] = {}
         self.model = self.compile()
         whole = (0, int(self.model.nq))
-        self.short = [k.name for k, length in zip(spec.keys, written, strict=False) if length not in whole]
+        self.short = [k.name for k, length in zip(spec.keys, self._written, strict=True) if length not in whole]
         self.root_name = body_name(self.model, root_body(self.model, file, root))
 
     @property
@@ -52,8 +55,9 @@ class Draft:
 
     def edit(self, note: str | None = None) -> None:
         """Record that the file is changed, with a note if one is given."""
-        if not self.edited:
-            self.edited = True
+        self.edited = True
+        if not self._named:
+            self._named = True
             # What is referred to has to have a name.
             for body in self.spec.bodies[1:]:
                 body.name = body.name or f"body_{body.id}"
@@ -74,22 +78,33 @@ class Draft:
         except UnicodeDecodeError as error:
             raise RobotError(f"{self.file} has a name that is not UTF-8: {error}") from error
         except ValueError as error:
-            if self._drop_key(str(error)):
+            if self._drop_missized(str(error)):
                 return self.compile()
-            raise RobotError(f"{self.file} is not an MJCF that MuJoCo can compile: {error}") from error
+            raise RobotError(f"{self.file} is not an MJCF that MuJoCo can compile: {one_line(error)}") from error
+        model = self.model
+        numbers = (model.key_qpos, model.key_qvel, model.key_act, model.key_ctrl)
+        wild = np.flatnonzero(~np.all([np.isfinite(values).all(axis=1) for values in numbers], axis=0))
+        if len(wild):
+            self._drop_key(int(wild[0]), "it has numbers that are not finite")
+            return self.compile()
         return self.model
 
-    def _drop_key(self, message: str) -> bool:
+    def _drop_missized(self, message: str) -> bool:
         """Drop the key of a wrong size that an error is about; tell whether there is one."""
-        about = re.search(r"keyframe (\d+): invalid \w+ size", message)
+        about = re.search(r"keyframe .*: invalid \w+ size.* id (\d+)", message, re.DOTALL)
         if about is None or int(about[1]) >= len(self.spec.keys):
             return False
-        key = self.spec.keys[int(about[1])]
-        name = key.name or about[1]
-        self.spec.delete(key)
-        self.edited = True
-        self.notes.append(f"Key {name!r} is left out: its size does not fit the joints and actuators.")
+        self._drop_key(int(about[1]), "its size does not fit the joints and actuators")
         return True
+
+    def _drop_key(self, index: int, why: str) -> None:
+        key = self.spec.keys[index]
+        name = key.name or str(index)
+        self.spec.delete(key)
+        del self._written[index : index + 1]
+        self.dropped[name] = why
+        self.edited = True
+        self.notes.append(f"Key {name!r} is left out: {why}.")
 
     # Parts by name, in the file as it is now.
 

@@ -134,6 +134,26 @@ def lowest_part(model: mujoco.MjModel, root: int, floor: int, qpos: np.ndarray, 
     return None
 
 
+def below_feet(
+    model: mujoco.MjModel, root: int, floor: int, qpos: np.ndarray, feet: Sequence[int]
+) -> tuple[int, float] | None:
+    """Return the lowest body of the robot, and by how much (m), if it ends clearly below all of the feet.
+
+    Bodies between the root and a foot do not count, nor does what is fixed to a foot.
+    """
+    data, weld = _placed(model, qpos), model.body_weldid
+    fixed = {int(weld[foot]) for foot in feet}
+    others = {body for body in bodies_below(model, root) if int(weld[body]) not in fixed}
+    others -= {body for foot in feet for body in _above(model, foot)} - {root}
+    lifts = {body: _lift(model, data, body, floor) for body in others}
+    if not lifts:
+        return None
+    lowest = min(lifts, key=lambda body: lifts[body])
+    depth = min(_lift(model, data, foot, floor) for foot in feet) - lifts[lowest]
+    tall = float(data.xpos[bodies_below(model, root), 2].max() - data.geom_xpos[floor, 2]) - lifts[lowest]
+    return (lowest, depth) if depth > _TOUCHING * tall else None
+
+
 def lowered(model: mujoco.MjModel, root: int, qpos: np.ndarray, lift: float) -> np.ndarray:
     """Return a pose moved down by ``lift`` (m); as it is if the root has no joint along z."""
     moved = qpos.copy()
@@ -170,6 +190,17 @@ def carried_load(model: mujoco.MjModel, qpos: np.ndarray, feet: Sequence[int], f
     ]
     forces = np.linalg.lstsq(pushes[:, base].T, weight[base], rcond=None)[0] if base else np.zeros(len(columns))
     return np.asarray(weight - data.qfrc_passive - forces @ pushes)
+
+
+def carrying_command(model: mujoco.MjModel, qpos: np.ndarray, feet: Sequence[int], floor: int) -> np.ndarray:
+    """Return the desired angle of each servo whose error carries the robot's weight in a pose, shape ``[nu]`` (rad)."""
+    joints, load = driven_joints(model), carried_load(model, qpos, feet, floor)
+    torque = load[[int(model.jnt_dofadr[j]) for j in joints]]
+    limited = model.actuator_forcelimited.astype(bool)
+    low, high = np.where(limited, model.actuator_forcerange.T, [[-np.inf], [np.inf]])
+    home = qpos[[int(model.jnt_qposadr[j]) for j in joints]]
+    command = home + np.clip(torque, low, high) / model.actuator_gainprm[:, 0]
+    return np.asarray(np.clip(command, *model.actuator_ctrlrange.T))
 
 
 def clipped(model: mujoco.MjModel, qpos: np.ndarray, joints: Sequence[int]) -> tuple[np.ndarray, list[int]]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from gctd3.errors import RobotError
+from gctd3.errors import RobotError, one_line
 from gctd3.robots.action_scale import find_action_scale
 from gctd3.robots.completion import FALLS, complete
 from gctd3.robots.home_pose import holds
@@ -112,4 +112,4 @@ def parse_mjcf(file: Path) -> mujoco.MjSpec:
     except UnicodeDecodeError as error:
         raise RobotError(f"{file} has a name that is not UTF-8: {error}") from error
     except ValueError as error:
-        raise RobotError(f"{file} is not an MJCF that MuJoCo can compile: {error}") from error
+        raise RobotError(f"{file} is not an MJCF that MuJoCo can compile: {one_line(error)}") from error

@@ -11,7 +11,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from gctd3.errors import RobotError, suggest
+from gctd3.errors import RobotError, one_line, suggest
 
 Kind = Literal["hinge", "slide", "ball", "free"]
 _KINDS: dict[int, Kind] = {
@@ -60,8 +60,10 @@ def find_mjcf(path: str | Path) -> Path:
         return file
     shipped = shipped_robots()
     if str(path) not in shipped:
+        option = resources.files("gctd3.conf").joinpath("robot", f"{path}.yaml").is_file()
+        known = f" robot={path} is for the commands, with settings and without a file." if option else ""
         raise RobotError(
-            f"No robot {str(path)!r}.{suggest(path, shipped)} "
+            f"No robot {str(path)!r}.{known or suggest(path, shipped)} "
             f"Give a path to an .xml or .urdf file, or one of {', '.join(shipped)}."
         )
     return shipped[str(path)]
@@ -97,7 +99,7 @@ def load_mjcf(source: str | Path | mujoco.MjModel | mujoco.MjSpec) -> tuple[mujo
     except UnicodeDecodeError as error:
         raise RobotError(f"{file} has a name that is not UTF-8: {error}") from error
     except ValueError as error:
-        raise RobotError(f"{file} is not an MJCF that MuJoCo can compile: {error}") from error
+        raise RobotError(f"{file} is not an MJCF that MuJoCo can compile: {one_line(error)}") from error
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:

@@ -107,10 +107,14 @@ def find_source(settings: RobotSettings) -> Source:
                 f"places {', '.join(places)}; got {settings.source!r}.{suggest(settings.source, packages)}"
             )
         places = tuple(chosen)
-    for place in places:
-        package = package_of(place)
-        if package is None or is_installed(package):
-            return find_place(place)
+    present = [place for place in places if (package := package_of(place)) is None or is_installed(package)]
+    if present:
+        try:
+            return find_place(present[0])
+        except RobotError as error:
+            # Another file is another robot, so that it is not taken unasked.
+            hint = f" robot.source={present[1]} takes another that is installed." if present[1:] else ""
+            raise RobotError(f"{error}{hint}") from error
     first, *others = dict.fromkeys(pip_name(package_of(place) or place) for place in places)
     instead = f" (or {', '.join(others)})" if others else ""
     raise RobotError(
@@ -134,6 +138,8 @@ def find_place(place: str) -> Source:
     if place in shipped_robots():
         return Source(find_mjcf(place), place, gctd3.__name__, gctd3.__version__, "MIT")
     file = Path(place).expanduser()
+    if file.is_dir() and is_place(place):
+        raise RobotError(f"{place} is a folder; a robot is an MJCF or a URDF file.{_inside(file)}")
     if not file.is_file() and is_place(place):
         raise RobotError(f"No {'URDF' if file.suffix == '.urdf' else 'MJCF'} file at {file}.")
     if not file.is_file():
@@ -144,7 +150,18 @@ def find_place(place: str) -> Source:
 
 def is_place(name: str) -> bool:
     """Tell whether a robot's name says where its file is: by a path, a package or a downloader."""
-    return package_of(name) is not None or Path(name).suffix in SUFFIXES or "/" in name or Path(name).is_file()
+    return package_of(name) is not None or Path(name).suffix in SUFFIXES or "/" in name or is_path(name)
+
+
+def is_path(name: str) -> bool:
+    """Tell whether a robot's name can only be a path: it begins like one, or there is such a file."""
+    return name.startswith((".", "/", "~")) or Path(name).expanduser().is_file()
+
+
+def _inside(folder: Path, most: int = 5) -> str:
+    """Return the robots' files of a folder, for a message."""
+    files = sorted(file.name for file in folder.glob("*") if file.suffix in SUFFIXES)
+    return f" It has {', '.join(files[:most])}{' and more' if files[most:] else ''}." if files else ""
 
 
 def package_of(place: str) -> str | None:

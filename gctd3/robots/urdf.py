@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from gctd3.errors import RobotError
+from gctd3.errors import RobotError, one_line
 
 _READ_BY_MUJOCO = (".stl", ".obj", ".msh")
 _ROOT = re.compile(rb"<\s*([A-Za-z_][\w:.-]*)")
@@ -84,7 +84,7 @@ def read_urdf(file: Path) -> URDF:
     try:
         spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
     except ValueError as error:
-        raise RobotError(f"{file} is not a URDF that MuJoCo can read: {_line(error)}.") from error
+        raise RobotError(f"{file} is not a URDF that MuJoCo can read: {one_line(error)}.") from error
     for number, mesh in enumerate(meshes):
         mesh.add(spec, f"collision_{number}")
     for link in root.iterfind("link"):
@@ -224,7 +224,7 @@ def _points(file: Path) -> np.ndarray:
         else:
             points = _collada_points(ElementTree.parse(file).getroot())
     except (OSError, ValueError, ElementTree.ParseError, KeyError, AttributeError) as error:
-        raise RobotError(f"{file} cannot be read as a mesh: {_line(error)}.") from error
+        raise RobotError(f"{file} cannot be read as a mesh: {one_line(error)}.") from error
     if len(points) < 4:
         raise RobotError(f"{file} has no mesh of four corners or more.")
     return np.unique(points, axis=0)
@@ -299,7 +299,7 @@ def _mend_inertias(root: ElementTree.Element, file: Path, notes: list[str]) -> N
             values, axes = np.linalg.eigh([[float(inertia.get(key, "0")) for key in row] for row in keys])
         except ValueError as error:
             raise RobotError(
-                f"{file}: the inertia of link {link.get('name')!r} is no number: {_line(error)}."
+                f"{file}: the inertia of link {link.get('name')!r} is no number: {one_line(error)}."
             ) from error
         if values[-1] > 0.0 and values[0] <= 0.0:
             possible = axes @ np.diag(np.maximum(values, 1e-6 * values[-1])) @ axes.T
@@ -317,7 +317,7 @@ def _fix_massless(root: ElementTree.Element, file: Path, notes: list[str]) -> No
     try:
         heavy = {name for name, mass in masses.items() if mass is not None and float(mass.get("value", "0")) > 0.0}
     except ValueError as error:
-        raise RobotError(f"{file}: the mass of a link is no number: {_line(error)}.") from error
+        raise RobotError(f"{file}: the mass of a link is no number: {one_line(error)}.") from error
     if not heavy:
         raise RobotError(f"{file}: no link has a mass (<inertial> with <mass>).")
     below: dict[str, list[ElementTree.Element]] = {}
@@ -410,7 +410,7 @@ def _exclude_overlaps(spec: mujoco.MjSpec, file: Path, notes: list[str]) -> None
     try:
         model = spec.compile()
     except ValueError as error:
-        raise RobotError(f"{file} is not a URDF that MuJoCo can compile: {_line(error)}.") from error
+        raise RobotError(f"{file} is not a URDF that MuJoCo can compile: {one_line(error)}.") from error
     data = mujoco.MjData(model)
     for joint in range(model.njnt):
         if model.jnt_limited[joint]:
@@ -477,7 +477,3 @@ def _some(names: list[str], separator: str = ", ") -> str:
     return separator.join(names[:4]) + (
         f"{'' if separator == ', ' else ';'} and {len(names) - 4} more" if len(names) > 4 else ""
     )
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split()).rstrip(".")

@@ -12,6 +12,7 @@ from gctd3.envs.simulation import Simulation
 from gctd3.errors import RobotError
 from gctd3.robots.completion import complete
 from gctd3.robots.graph import KinematicGraph
+from gctd3.robots.ground import contact_sensors
 from gctd3.robots.robot import Robot
 from gctd3.robots.servo_settings import ServoSettings
 from gctd3.robots.settings import RobotSettings
@@ -266,6 +267,43 @@ def test_a_key_off_the_ground_is_put_on_it(tmp_path):
     assert any("lowered by 0.219 m" in note for note in robot.notes)
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    ['qpos="0 0 .5 1 0 0 0"', f'qpos="{" 1" * 20}"', f'qpos="nan{" 1" * 14}"', 'ctrl="1"', 'act="1 2 3"', 'mpos="1"'],
+)
+@pytest.mark.parametrize("name", ["stand", ""])
+def test_a_key_that_cannot_be_used_is_passed_over_by_name(tmp_path, wrong, name):
+    path = dog(
+        tmp_path, rest=f"<keyframe><key/><key {f'name={chr(34)}{name}{chr(34)}' if name else ''} {wrong}/></keyframe>"
+    )
+    # Parts without names are named for the sensors that are added.
+    path.write_text(path.read_text().replace('<body name="shank_fl"', "<body"))
+    robot = RobotSettings(name=str(path)).load()
+    assert len(robot.feet) == 4
+    if name:
+        assert any(note.startswith("Key 'stand' is ") for note in robot.notes)
+        with pytest.raises(
+            RobotError,
+            match=r"stand in key 'stand': (its size does not fit|it has n)",
+        ):
+            RobotSettings(name=str(path), pose="stand").load()
+
+
+@pytest.mark.parametrize("foot, lower", [("trunk", "shank_fl is 0.38 m"), ("stub", "shank_fl is 0.3")])
+def test_feet_that_do_not_reach_the_ground_are_refused(tmp_path, foot, lower):
+    inside = '<body name="stub" pos=".3 0 0"><joint name="nod" axis="0 1 0" range="-9 9"/><geom size=".1"/></body>'
+    path = dog(tmp_path, inside=inside)
+    with pytest.raises(RobotError, match=f"the feet {foot} do not reach the ground: in the standing pose {lower}"):
+        RobotSettings(name=str(path), feet=[foot]).load()
+
+
+def test_what_mujoco_says_takes_one_line(tmp_path):
+    path = dog(tmp_path, actuator='<motor joint="{n}x"/>')
+    with pytest.raises(RobotError, match=r"unknown transmission target 'hip_flx'") as caught:
+        RobotSettings(name=str(path)).load()
+    assert "\n" not in str(caught.value)
+
+
 def test_a_key_in_which_feet_hang_in_the_air_is_passed_over(tmp_path):
     pose = "0 0 .4 1 0 0 0 1.2 -2.4 1.2 -2.4 .2 -.4 .2 -.4"
     path = dog(tmp_path, rest=f'<keyframe><key name="home" qpos="{pose}"/></keyframe>')
@@ -466,6 +504,23 @@ def test_a_servo_that_is_too_weak_is_named(tmp_path):
     path = dog(tmp_path, '<position joint="{n}" kp="400" kv="4" ctrlrange="-3 3" forcerange="-2 2"/>')
     notes = RobotSettings(name=str(path)).load().notes
     assert any("falling" in note or "all of their torque" in note for note in notes)
+
+
+def test_soft_servos_that_sag_keep_the_sensors_of_the_shanks(tmp_path):
+    """Told the pose itself they sag onto their shanks; an action of 0 carries the weight."""
+    pose = "0 0 .35 1 0 0 0" + " .7 -1.4" * 4
+    rest = f'<keyframe><key name="home" qpos="{pose}"/></keyframe>'
+    path = dog(tmp_path, '<position joint="{n}" kp="15" kv=".5" ctrlrange="-3 3"/>', rest=rest)
+    robot = RobotSettings(name=str(path)).load()
+    assert not any("rests on" in note for note in robot.notes)
+    data, sensors = mujoco.MjData(robot.model), contact_sensors(robot.model, robot.base.root)
+    touched = {}
+    for name, command in (("pose", robot.standing_qpos[7:]), ("zero", robot.standing_command)):
+        mujoco.mj_resetData(robot.model, data)
+        data.qpos[:], data.ctrl[:] = robot.standing_qpos, command
+        mujoco.mj_step(robot.model, data, 1500)
+        touched[name] = {body for body, address in sensors.items() if data.sensordata[address]} - set(robot.feet)
+    assert touched == {"pose": {"thigh_hl", "thigh_hr"}, "zero": set()}
 
 
 # Joints.

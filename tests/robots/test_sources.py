@@ -78,7 +78,9 @@ def test_shipped_robots_come_first_and_say_so(tmp_path, monkeypatch):
         ("none.mjcf", "No MJCF file at none.mjcf."),
         ("none.urdf", "No URDF file at none.urdf."),
         ("folder/none", "No MJCF file at folder/none."),
-        ("centipede", "No robot 'centipede'."),
+        (".", ". is a folder; a robot is an MJCF or a URDF file. It has some.mjcf."),
+        ("centipede", "No robot 'centipede'. Give a path"),
+        ("go2", "No robot 'go2'. robot=go2 is for the commands, with settings and without a file. Give a path"),
         ("some.xacro", "xacro some.xacro > some.urdf"),
         ("some.usd", "got a .usd"),
         ("some.mjcf", "rename it to some.xml"),
@@ -144,6 +146,15 @@ def test_the_first_that_is_installed_is_read(installed):
     assert "pip install absent-package; " in refused(RobotSettings("two", sources=PLACES, source="absent-package"))
     said = refused(RobotSettings("two", sources=PLACES, source="stroller"))
     assert said.endswith("got 'stroller'. Did you mean 'strollers'?") and all(place in said for place in PLACES)
+
+
+def test_another_that_is_installed_is_named_if_the_first_cannot_be_read(installed):
+    package(installed, "walkers", {"walkers/three.xml": FREE_LEGS})
+    package(installed, "strollers", {"strollers/two.xml": FREE_LEGS})
+    said = refused(RobotSettings("two", sources=PLACES))
+    assert "has no file 'two.xml'" in said
+    assert said.endswith(" robot.source=strollers:two.xml takes another that is installed.")
+    assert RobotSettings("two", sources=PLACES, source="strollers:two.xml").load().source.package == "strollers"
 
 
 def test_a_name_that_is_a_place_is_read_itself(tmp_path):
@@ -264,11 +275,20 @@ def test_the_option_fits_the_base(tmp_path, capsys, monkeypatch):
         "free.xml,planar.xml": "free.xml has a free base and planar.xml has not",
         "biped,free.xml": "biped is an option and others are files",
         "none.urdf": "No URDF file at none.urdf.",
+        "./": "./ is a folder; a robot is an MJCF or a URDF file. It has free.xml, it's.xml, legs.urdf, planar.xml.",
+        "/none/here": "No MJCF file at /none/here.",
         "no_package:a.xml": "no package 'no_package' is installed",
     }.items():
         assert command("train", "-m", f"robot={names}") == 2
         error = capsys.readouterr().err
         assert said in error and error.count("\n") == 1
+
+
+def test_a_task_that_brings_its_robot_takes_no_other(capsys):
+    assert command("train", "task=halfcheetah", "robot=go2") == 2
+    error = capsys.readouterr().err
+    assert error == "error: robot=go2: a library's task brings its own robot; leave robot=go2 out.\n"
+    assert command("train", "task=halfcheetah", "robot=biped", "--cfg", "job") == 0
 
 
 def test_what_is_taken_is_printed(tmp_path, capsys, installed):
