@@ -19,6 +19,7 @@ from gctd3.robots.robot import Robot
 from gctd3.runs.settings import EvaluateSettings
 from gctd3.tasks.task import check_able
 
+PAPERS_ROBOT = "biped"
 # Table 5 of the paper, column GCTD3. Its body position seems to count from the spawn height, 0.0235 m above standing.
 PAPER = {"return_mean": 380.0, "return_std": 18.47, "velocity_mean": 1.414, "body_position_mean": -0.0202}
 EVALUATION, TRACE = "evaluation.json", "trace.csv"
@@ -47,7 +48,8 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     walks, dt = "film" in task.abilities, task.control_dt
     with made(folder):
         result = evaluate(policy, env, task, settings.seed, record=walks)
-        about: dict[str, object] = {"reward": reward.to_dict()} if walks else {"task": task.name}
+        robot = task.robot.path.stem
+        about: dict[str, object] = {"robot": robot, "reward": reward.to_dict()} if walks else {"task": task.name}
         report: dict[str, object] = {
             **about,
             **result.summary(),
@@ -124,8 +126,9 @@ def table(report: dict[str, object]) -> str:
             ("success rate", "success_rate", "{:.2f}", None),
             ("body position, m from standing", "body_position_mean", "{:.4f}", None),
         ]
-    # The paper has no numbers for a library's task.
-    lines = [f"{'':34}{'this policy':>18}" + (f"{'paper, GCTD3':>18}" if walk else "")]
+    # The paper has no numbers for a library's task, nor for another robot than its biped.
+    compared = walk and report.get("robot", PAPERS_ROBOT) == PAPERS_ROBOT
+    lines = [f"{'':34}{'this policy':>18}" + (f"{'paper, GCTD3':>18}" if compared else "")]
 
     def cell(values: dict[str, object], key: str, form: str, spread: str | None) -> str:
         if key not in values:
@@ -135,7 +138,7 @@ def table(report: dict[str, object]) -> str:
 
     paper: dict[str, object] = {**PAPER, "episodes": 50}
     for label, key, form, spread in rows:
-        beside = f"{cell(paper, key, form, spread):>18}" if walk else ""
+        beside = f"{cell(paper, key, form, spread):>18}" if compared else ""
         lines.append(f"{label:34}{cell(report, key, form, spread):>18}{beside}")
     gait = report["gait"]
     if not walk and not gait:

@@ -14,6 +14,7 @@ from tensordict import TensorDict
 
 import gctd3
 from gctd3.files import checksum
+from gctd3.runs.evaluate import table
 from gctd3.training.checkpoint import Checkpoints, checked
 from gctd3.training.saved_configuration import find_run, load_settings
 
@@ -131,3 +132,10 @@ def test_shipping_refuses_what_does_not_walk(shipping, finished, tmp_path, monke
         ship(shipping, monkeypatch, "commit=abcdef0")
     assert contents(to) == before
     assert sorted(path.name for path in to.parent.iterdir()) == ["policy"]
+
+
+@pytest.mark.parametrize(("robot", "compared"), [("biped", True), ("go2", False)])
+def test_the_papers_numbers_stand_beside_its_own_robot_only(robot, compared):
+    numbers = dict.fromkeys(("return_mean", "return_std", "velocity_mean", "distance_mean", "success_rate"), 0.5)
+    report = {"robot": robot, "reward": {}, "episodes": 2, "body_position_mean": 0.0, "gait": {}, **numbers}
+    assert ("paper, GCTD3" in table(report)) == compared
