@@ -161,7 +161,7 @@ def _next_above(chains: dict[str, list[str]]) -> Tree:
 
 
 def wrong_nodes(robot: Robot, tree: Tree) -> Iterator[str]:
-    """What is wrong with the graph's joints, beside the tree that the file states."""
+    """Return the faults of the graph's joints, compared with the tree that the file states."""
     from gctd3.robots.graph import KinematicGraph
 
     graph = KinematicGraph.from_robot(robot)
@@ -179,7 +179,7 @@ def wrong_nodes(robot: Robot, tree: Tree) -> Iterator[str]:
 
 
 def wrong_feet(robot: Robot, count: int) -> Iterator[str]:
-    """What is wrong with the feet: ends of legs, on the ground as the robot stands, as many as a person counts."""
+    """Return the faults of the feet: ends of legs, on the ground as the robot stands, as many as a person counts."""
     model, data = robot.model, mujoco.MjData(robot.model)
     data.qpos[:] = robot.standing_qpos
     mujoco.mj_kinematics(model, data)
@@ -199,7 +199,7 @@ def wrong_feet(robot: Robot, count: int) -> Iterator[str]:
 
 
 def wrong_pairs(robot: Robot) -> Iterator[str]:
-    """What is wrong with the mirror: images of images, and feet without one where the base is free."""
+    """Return the faults of the mirror: images of images, and feet without one where the base is free."""
     images = robot.mirror
     for name in [name for name in images if images[images[name]] != name]:
         yield f"joint {name} is not the mirror image of its own"
@@ -520,7 +520,7 @@ def train(robot: str, seed: int, folder: Path, threads: int, passed_on: Sequence
 
 
 def judged(folder: Path) -> dict[str, Any]:
-    """What the evaluation of a run says of its walk."""
+    """Return the numbers of the walk in a run's evaluation."""
     from gctd3.runs.load import load_run
 
     evaluation, run = json.loads((folder / "evaluation.json").read_text()), load_run(str(folder))

@@ -33,7 +33,7 @@ RUNS = {
 
 
 def once(directory, make):
-    """What ``make`` puts into a folder below ``directory`` when this is first asked for; that folder.
+    """Return a folder below ``directory`` that ``make`` has filled when it was first asked for.
 
     Test processes of one session share the directory: a lock on disk makes the others wait for the first.
     """

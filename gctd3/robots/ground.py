@@ -172,7 +172,10 @@ def missing_geoms(spec: mujoco.MjSpec) -> list[str]:
 
 
 def add_floor(spec: mujoco.MjSpec, name: str = "floor", contype: int = 1, conaffinity: int = 1) -> str:
-    """Add a level plane at z = 0 and return its name, which is ``name`` if that is free."""
+    """Add a level plane at z = 0 and return its name, which is ``name`` if that is free.
+
+    A file without a ground is no scene, and is drawn before a black sky: it gets one, and a light if it has none.
+    """
     taken = {geom.name for geom in spec.geoms}
     while name in taken:
         name += "_"
@@ -182,8 +185,25 @@ def add_floor(spec: mujoco.MjSpec, name: str = "floor", contype: int = 1, conaff
         size=[0.0, 0.0, 0.05],
         contype=contype,
         conaffinity=conaffinity,
-        rgba=[0.35, 0.4, 0.45, 1.0],
+        rgba=[0.76, 0.79, 0.82, 1.0],
     )
+    if not any(texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX for texture in spec.textures):
+        spec.add_texture(
+            name="sky_of_the_ground",
+            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=[0.72, 0.82, 0.92],
+            rgb2=[0.95, 0.97, 1.0],
+            width=64,
+            height=64,
+        )
+    if not spec.lights:
+        spec.worldbody.add_light(
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            pos=[0.0, 0.0, 3.0],
+            dir=[0.25, 0.35, -1.0],
+            diffuse=[0.5, 0.5, 0.5],
+        )
     return name
 
 

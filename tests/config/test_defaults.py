@@ -320,7 +320,7 @@ def test_settings_import_no_torch():
 
 
 def test_a_misspelt_key_is_answered_without_torch(tmp_path):
-    """By one command after the other: the first that imports it is named."""
+    """Import the commands one after the other and name the first that imports it."""
     code = (
         "import sys, importlib\n"
         f"for name in {[*COMMANDS]}:\n"

@@ -190,7 +190,7 @@ OTHERS = [line for line in LINES if parsed(line)[0] in COMMANDS and parsed(line)
 
 @pytest.mark.parametrize("line", OTHERS)
 def test_the_settings_of_a_line_of_readme_are_known(line, place, monkeypatch, capsys):
-    """What they do is seen every night."""
+    """The nightly tests run them in full."""
     monkeypatch.chdir(place)
     name, arguments = parsed(line)
     assert command(name, *arguments, "--cfg", "job") == 0

@@ -139,7 +139,7 @@ def test_the_same_on_other_bases(base):
 
 
 def places_apart(robot, ground, rng):
-    """How far the parts of a robot are from the reflections of their images (m), 0.1 s after a reflected state.
+    """Return how far a robot's parts are from the reflections of their images (m), 0.1 s after a reflected state.
 
     In places, not in the coordinates that the check compares.
     """

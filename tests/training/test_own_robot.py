@@ -67,7 +67,7 @@ def test_what_is_no_setting_is_still_refused(tmp_path, capsys):
 
 
 def test_a_run_keeps_the_file_that_it_read(tmp_path, monkeypatch):
-    """Of a list of packages the one that was installed, whatever comes later."""
+    """Choose the package that is installed from a list, whatever comes later."""
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
     places = ["early_walkers:robot.xml", "late_walkers:robot.xml"]
 
