@@ -493,7 +493,7 @@ def reasons(rows: Sequence[dict[str, Any]]) -> dict[str, list[str]]:
 
 
 def train(robot: str, seed: int, folder: Path, threads: int, passed_on: Sequence[str]) -> dict[str, Any]:
-    """Train a robot by its name, timing the whole command, and judge its best policy."""
+    """Train a robot by its name, timing the whole command, and evaluate its best policy."""
     # What an interrupted training left would be timed in two parts.
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -516,10 +516,10 @@ def train(robot: str, seed: int, folder: Path, threads: int, passed_on: Sequence
     if code:
         said = [text for text in (folder / "output.txt").read_text().splitlines() if text.strip()]
         return {**row, "failed": f"exit code {code}: {said[-1] if said else 'nothing said'}"}
-    return {**row, **judged(folder)}
+    return {**row, **evaluated(folder)}
 
 
-def judged(folder: Path) -> dict[str, Any]:
+def evaluated(folder: Path) -> dict[str, Any]:
     """Return the numbers of the walk in a run's evaluation."""
     from gctd3.runs.load import load_run
 

@@ -25,8 +25,8 @@ class Stepping(torch.nn.Module):
     the steps, a shift of each pair of feet, a crouch and a sway are drawn, and evolve: each robot tries a gait for a
     while, remembers its best one, and most new gaits are mutations of what a few robots remember. The fitness of a gait
     is the distance that it covers while it is tried, as far as a brisk walk would get, less a penalty if the robot
-    falls. Lengths are in leg lengths and
-    frequencies in those of a pendulum as long as the leg, so that the same numbers serve robots of all sizes.
+    falls. Lengths are in leg lengths and frequencies in those of a pendulum as long as the leg, so that the same
+    numbers serve robots of all sizes.
 
     Args:
         robot: The robot.
@@ -210,7 +210,7 @@ def _joint_paths(robot: Robot, damping: float) -> Tensor:
         shared = {joint.name for k, other in enumerate(robot.legs) if k != i for joint in other}
         own = [joint for joint in leg if joint.name not in shared and joint.name in robot.actuated]
         jacobian = np.zeros((3, model.nv))
-        mujoco.mj_jac(model, data, jacobian, None, robot.foot_place(data, foot), model.body(foot).id)
+        mujoco.mj_jac(model, data, jacobian, None, robot.foot_place(data, foot), robot.foot_bodies[i])
         moved = robot.base.frame @ jacobian[:, [joint.qvel for joint in own]]
         # Damped least squares (Nakamura & Hanafusa 1986): a straight leg asks for no endless angles.
         inverse = moved.T @ np.linalg.inv(moved @ moved.T + damping**2 * np.eye(3))

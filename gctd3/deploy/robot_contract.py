@@ -113,4 +113,4 @@ def _standing_height(robot: Robot) -> float:
     model, data = robot.model, mujoco.MjData(robot.model)
     data.qpos[:] = robot.standing_qpos
     mujoco.mj_kinematics(model, data)
-    return float(data.xpos[model.body(robot.root).id, 2])
+    return float(data.xpos[robot.base.root, 2])

@@ -25,7 +25,7 @@ def altered(robot: Robot, mass: float = 1.0, friction: float = 1.0) -> Robot:
     MuJoCo takes the larger friction of two surfaces in contact, so that of the ground changes with that of the soles.
     """
     model = copy.deepcopy(robot.model)
-    bodies = bodies_below(model, model.body(robot.root).id)
+    bodies = bodies_below(model, robot.base.root)
     model.body_mass[bodies] *= mass
     model.body_inertia[bodies] *= mass
     model.geom_friction[:] *= friction
@@ -50,7 +50,7 @@ def velocity_change(robot: Robot, qpos: np.ndarray, impulse: np.ndarray) -> np.n
     data.qpos[:] = qpos
     mujoco.mj_fwdPosition(model, data)
     jacobian, change = np.zeros((3, model.nv)), np.zeros((1, model.nv))
-    mujoco.mj_jacBodyCom(model, data, jacobian, None, model.body(robot.root).id)
+    mujoco.mj_jacBodyCom(model, data, jacobian, None, robot.base.root)
     mujoco.mj_solveM(model, data, change, (jacobian.T @ impulse)[None])
     return change[0]
 

@@ -141,7 +141,7 @@ def soles(robot: Robot, qpos: np.ndarray, dt: float) -> tuple[np.ndarray, np.nda
         Heights (m) and speeds (m/s), each of shape ``[T, feet]``.
     """
     model, data = robot.model, mujoco.MjData(robot.model)
-    feet = [model.body(foot).id for foot in robot.feet]
+    feet = list(robot.foot_bodies)
     data.qpos[:] = robot.standing_qpos
     mujoco.mj_kinematics(model, data)
     local, ground = [], []
@@ -170,4 +170,4 @@ def soles(robot: Robot, qpos: np.ndarray, dt: float) -> tuple[np.ndarray, np.nda
 
 def total_mass(robot: Robot) -> float:
     """Return the total mass of a robot (kg)."""
-    return float(robot.model.body(robot.root).subtreemass[0])
+    return float(robot.model.body_subtreemass[robot.base.root])

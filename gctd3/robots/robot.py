@@ -303,6 +303,11 @@ class Robot:
         geoms = [geom for foot in self.feet for geom in colliding_geoms(model, self._bodies[foot])]
         return float(np.mean([data.xanchor[hip.id][2] for hip in self.hips]) - lowest_point(model, data, geoms))
 
+    @property
+    def foot_bodies(self) -> tuple[int, ...]:
+        """Return MuJoCo's index of each foot's body, which may have no name."""
+        return tuple(self._bodies[foot] for foot in self.feet)
+
     def foot_place(self, data: mujoco.MjData, foot: str) -> np.ndarray:
         """Return the mean place of a foot's colliding geoms, or the body's own (m, in the world)."""
         index = self._bodies[foot]

@@ -237,7 +237,7 @@ def test_trainings_are_counted_whatever_becomes_of_them(bench, tmp_path, monkeyp
 
     monkeypatch.setattr(bench.subprocess, "run", run)
     monkeypatch.setattr(bench, "commit", lambda: "abc")
-    monkeypatch.setattr(bench, "judged", lambda folder: dict(walked, finishes=50 if folder.name == "seed0" else 49))
+    monkeypatch.setattr(bench, "evaluated", lambda folder: dict(walked, finishes=50 if folder.name == "seed0" else 49))
     given = {"runs": str(tmp_path), "robots": "go1,bad", "seeds": "0,1", "threads": "1", "again": ""}
     rows = bench.train_all(given, ["total_frames=9"])
     assert [row.get("failed") for row in rows] == [None, None, *["exit code 2: error: no legs"] * 2]
@@ -284,7 +284,7 @@ def test_shipped_robots_and_a_file_of_ones_own_are_read(tmp_path):
 
 
 @pytest.mark.nightly
-def test_a_robot_is_trained_and_judged(bench, tmp_path, monkeypatch):
+def test_a_robot_is_trained_and_evaluated(bench, tmp_path, monkeypatch):
     monkeypatch.setattr(bench, "EPISODES", 2)
     short = ["total_frames=600", "exploration.learning_starts=300", "env.num_envs=4", "gradient_steps=1", "logger=none"]
     given = {"runs": str(tmp_path), "robots": "quadruped", "seeds": "3", "threads": "1", "again": ""}
