@@ -2,6 +2,7 @@
 
     python benchmarks/mutations.py out=FILE.json [n=100] [seed=0] [trees=NAME:DIR:PYTHON,...] [full=false]
         [only=GROUP,...] [timeout=600]
+    python benchmarks/mutations.py out=FILE.json again=NAME [trees=...] [timeout=600]
 
 A mutant is one small change of the code: another comparison or operator, a number that is off by one, a condition
 turned round, a call left out. As many are drawn of each group of modules below, the same for all trees: a tree is a
@@ -11,6 +12,10 @@ since a place is known by its definition and its statement; what is not in all o
 Each mutant is put into a copy of the tree, and the tests that name its module (and those of its room) run until one
 fails; with ``full=true``, all others after them. A test that also fails without the mutant does not count. What is
 known already is in ``out`` and not run again, so that a run can be broken off.
+
+With ``again=NAME`` the mutants of ``out`` are run against a tree that has changed since: first the file, its nightly
+tests too, of the test that found the mutant in the tree of that name, then the others. A mutant whose statement is no
+longer in the tree is ``gone``.
 """
 
 from __future__ import annotations
@@ -29,7 +34,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -324,12 +329,14 @@ class Tree:
         near = [path for path in self.tests() if path.parent.name == room or parts[-1] in path.stem]
         return [str(path.relative_to(self.copy)) for path in dict.fromkeys([*naming, *near])]
 
-    def run(self, tests: list[str], timeout: float, skip: Iterable[str] = ()) -> tuple[str, str]:
+    def run(self, tests: list[str], timeout: float, skip: Iterable[str] = (), nightly: bool = False) -> tuple[str, str]:
         """``killed`` and the first test that failed, ``timeout``, or ``survived``."""
         if not tests:
             return "survived", ""
         without = [word for name in skip for word in ("--deselect", name)]
-        line = [self.python, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", *without, *tests]
+        marked = ["-m", "nightly or not nightly"] if nightly else []
+        quiet = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider"]
+        line = [self.python, "-m", "pytest", *quiet, *marked, *without, *tests]
         with subprocess.Popen(
             line,
             cwd=self.copy,
@@ -353,19 +360,27 @@ class Tree:
         named = re.findall(r"^(?:FAILED|ERROR) ([^\s\[]+(?:\[.*?\])?)(?: - .*)?$", out, flags=re.M)
         return "killed", named[0] if named else out.strip().splitlines()[-1][:200]
 
-    def evaluate(self, file: str, site: Site, full: bool, timeout: float) -> dict[str, Any]:
-        """Run the tests on one mutant and return the outcome."""
+    def find(self, key: str) -> tuple[str, Site] | None:
+        """The only file, and the place in it, of a mutant."""
+        found = [(file, there[key]) for file, there in self.read("gctd3/**/*.py").items() if key in there]
+        return found[0] if len(found) == 1 else None
+
+    def evaluate(self, file: str, site: Site, full: bool, timeout: float, first: Sequence[str] = ()) -> dict[str, Any]:
+        """Run the tests on one mutant, files of ``first`` and their nightly tests before all; return the outcome."""
         target = self.copy / file
         source = target.read_text(encoding="utf-8")
         near = self.tests_of(file)
         stages = [near, [str(path.relative_to(self.copy)) for path in self.tests()]] if full else [near]
+        # Files that are no longer there found nothing.
+        first = [test for test in first if (self.copy / test).is_file()]
+        stages = [list(first), *stages] if first else stages
         began, outcome, by, skip = time.monotonic(), "survived", "", set[str]()
         try:
             for stage, tests in enumerate(stages):
-                left = [test for test in tests if stage == 0 or test not in near]
+                left = [test for test in tests if not any(test in earlier for earlier in stages[:stage])]
                 while True:
                     target.write_text(mutated(source, site), encoding="utf-8")
-                    outcome, by = self.run(left, timeout, skip)
+                    outcome, by = self.run(left, timeout, skip, nightly=bool(first) and stage == 0)
                     target.write_text(source, encoding="utf-8")
                     # One that fails again was not left out, so that its name is not what pytest calls it.
                     if outcome != "killed" or by in skip or self.is_sound(by, timeout):
@@ -439,6 +454,36 @@ def table(content: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def trees_of(said: str) -> list[Tree]:
+    """Read trees=."""
+    return [Tree(name, Path(root), python) for name, root, python in (tree.split(":") for tree in said.split(","))]
+
+
+def run_again(out: Path, before: str, trees: Sequence[Tree], timeout: float) -> None:
+    """Run the mutants of an earlier table on trees that have changed since."""
+    content = json.loads(out.read_text(encoding="utf-8"))
+    if before not in content["trees"]:
+        raise SystemExit(f"again= must name a tree of {out}: {', '.join(content['trees'])}")
+    content["trees"] = list(dict.fromkeys([*content["trees"], *(tree.name for tree in trees)]))
+    for tree in trees:
+        with tree:
+            for number, mutant in enumerate(content["mutants"], 1):
+                if tree.name in mutant["results"]:
+                    continue
+                found, by = tree.find(mutant["key"]), mutant["results"].get(before, {}).get("by", "")
+                result: dict[str, Any] = {"outcome": "gone", "by": "", "tests": "near", "seconds": 0.0}
+                if found is not None:
+                    mutant["files"][tree.name] = found[0]
+                    first = [by.partition("::")[0]] if by else []
+                    result = tree.evaluate(*found, full=False, timeout=timeout, first=first)
+                mutant["results"][tree.name] = result
+                write_text(out, json.dumps(content, indent=1) + "\n")
+                print(
+                    f"{tree.name} {number}/{len(content['mutants'])} {result['outcome']:<9}{result['by']}", flush=True
+                )
+    print(f"\n{table(content)}")
+
+
 def main() -> None:
     """Draw, evaluate what is not evaluated yet, and print the table."""
     given = options(
@@ -449,14 +494,18 @@ def main() -> None:
         only=",".join(GROUPS),
         full="false",
         timeout="600",
+        again="",
     )
     if not given["out"]:
         raise SystemExit("out=FILE.json is required: it holds what has been evaluated")
     unknown = [name for name in given["only"].split(",") if name not in GROUPS]
     if unknown:
         raise SystemExit(f"no group {', '.join(unknown)}; there are {', '.join(GROUPS)}")
+    if given["again"]:
+        run_again(Path(given["out"]), given["again"], trees_of(given["trees"]), float(given["timeout"]))
+        return
     out, full = Path(given["out"]), given["full"] == "true"
-    trees = [Tree(name, Path(root), python) for name, root, python in (t.split(":") for t in given["trees"].split(","))]
+    trees = trees_of(given["trees"])
     drawn = {"seed": int(given["seed"]), "n": int(given["n"]), "only": given["only"], "trees": [t.name for t in trees]}
     if out.exists():
         content = json.loads(out.read_text(encoding="utf-8"))
