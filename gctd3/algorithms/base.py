@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from gctd3.algorithms.adam import Adam
+from gctd3.algorithms.imitation import Imitation
 from gctd3.nn.factories import make_actor, make_critic, make_stochastic_actor
 from gctd3.nn.settings import NetworkSettings, Scale
 from gctd3.robots.graph import KinematicGraph
@@ -73,6 +74,7 @@ class Algorithm(ABC):
         actor: The policy under training, which also collects the transitions.
         loss: The TorchRL loss that holds all parameters.
         updates: Number of updates so far.
+        imitation: Controller that the actor imitates, if any.
     """
 
     actor: TensorDictModuleBase
@@ -83,6 +85,7 @@ class Algorithm(ABC):
     def __init__(self, compiled: bool = False) -> None:
         self.updates = 0
         self.optimizers: dict[str, torch.optim.Optimizer] = {}
+        self.imitation: Imitation | None = None
         self._to_compile = compiled
 
     def update(self, batch: TensorDictBase) -> Metrics:
@@ -105,6 +108,19 @@ class Algorithm(ABC):
     @abstractmethod
     def averaged_actor_params(self) -> TensorDictBase:
         """Return the parameters of the averaged actor."""
+
+    @property
+    def critics_alone(self) -> bool:
+        """Return whether this update is of the critics only."""
+        return self.imitation is not None and self.imitation.critics_alone(self.updates)
+
+    def imitating(self, loss: Tensor, batch: TensorDictBase) -> Tensor:
+        """Return the actor's loss of a batch, with the term that pulls it towards :attr:`imitation`, if any."""
+        return loss if self.imitation is None else self.imitation.add_to(loss, self.actor, batch, self.updates)
+
+    def average_from_actor(self) -> None:
+        """Set the averaged actor's parameters to the actor's."""
+        self.averaged_actor_params().data.update_(TensorDict.from_module(self.actor).data)
 
     def policy(self) -> TensorDictModuleBase:
         """Return a copy of the actor on the CPU, without gradients, to evaluate; averaged if the settings say so."""

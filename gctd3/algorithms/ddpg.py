@@ -33,14 +33,13 @@ class DDPG(Algorithm):
         """Update the critic, the actor and the targets."""
         loss_critic, details = self.loss.loss_value(batch)
         minimize(self.critic_optimizer, loss_critic)
-        loss_actor, _ = self.loss.loss_actor(batch)
-        minimize(self.actor_optimizer, loss_actor)
+        metrics = {"loss_critic": loss_critic.detach()}
+        if not self.critics_alone:
+            loss_actor, _ = self.loss.loss_actor(batch)
+            minimize(self.actor_optimizer, self.imitating(loss_actor, batch))
+            metrics["loss_actor"] = loss_actor.detach()
         self.targets.step()
-        return {
-            "loss_critic": loss_critic.detach(),
-            "loss_actor": loss_actor.detach(),
-            "value": details["pred_value"].detach().mean(),
-        }
+        return {**metrics, "value": details["pred_value"].detach().mean()}
 
     def averaged_actor_params(self) -> TensorDictBase:
         """Return the parameters of the target actor."""

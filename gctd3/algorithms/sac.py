@@ -47,7 +47,8 @@ class SAC(Algorithm):
 
         # Actor: towards a higher value and a higher entropy (equation 7).
         loss_actor, details = self.loss.actor_loss(batch)
-        minimize(self.actor_optimizer, loss_actor)
+        if not self.critics_alone:
+            minimize(self.actor_optimizer, self.imitating(loss_actor, batch))
 
         # Temperature: up where the entropy of these actions is too low (equation 18).
         minimize(self.alpha_optimizer, self.loss.alpha_loss(details["log_prob"]).mean())

@@ -14,6 +14,35 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class ImitationSettings:
+    """Hold the settings of imitation: the policy begins as the fittest gait of warmup=stepping.
+
+    It needs a policy that observes a clock (:class:`.GaitClock`).
+
+    Attributes:
+        updates: Updates of the actor towards the gait, before the first one of the critics; 0 for no imitation.
+        critics_first: Updates of the critics that follow before the actor learns on.
+        weight: Factor of the mean squared difference from the gait's actions in the actor's loss, in the unit of that
+            loss (TD3+BC, arXiv:2106.06860, has 0.4 for data).
+        fade: Updates over which the factor falls to 0.
+    """
+
+    updates: int = 0
+    critics_first: int = 1000
+    weight: float = 12.0
+    fade: int = 8000
+
+    def __post_init__(self) -> None:
+        for name in ("updates", "critics_first"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"{name} must be at least 0, got {getattr(self, name)}.")
+        if self.weight < 0:
+            raise ConfigError(f"weight must be at least 0, got {self.weight}.")
+        if self.fade < 1:
+            raise ConfigError(f"fade must be at least 1, got {self.fade}.")
+
+
+@dataclass(frozen=True)
 class AlgorithmSettings(ABC):
     """Hold the hyperparameters that all algorithms share.
 

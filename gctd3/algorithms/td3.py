@@ -45,10 +45,11 @@ class TD3(Algorithm):
         metrics = {"loss_critic": loss_critic.detach(), "value": details["pred_value"].mean()}
 
         if self.updates % self.settings.policy_delay == 0:
-            # Actor: up the first critic's value.
-            loss_actor, _ = self.loss.of_actor(batch)
-            minimize(self.actor_optimizer, loss_actor)
-            metrics["loss_actor"] = loss_actor.detach()
+            if not self.critics_alone:
+                # Actor: up the first critic's value.
+                loss_actor, _ = self.loss.of_actor(batch)
+                minimize(self.actor_optimizer, self.imitating(loss_actor, batch))
+                metrics["loss_actor"] = loss_actor.detach()
 
             # Targets: Polyak averages (equations 12 and 13).
             self.targets.step()

@@ -13,6 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
+from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.robot import Robot
 
 
@@ -140,6 +141,7 @@ class Explorer(TensorDictModuleBase):
         settings: Settings of warm-up and noise.
         control_dt: Control period (s).
         part: Robots that this explorer moves, all by default; other explorers move the rest at the same pace.
+        gait: Gait for which the policy observes a clock; feet that step in the warm-up keep to it.
 
     Attributes:
         frames: Control steps of all robots so far.
@@ -159,6 +161,7 @@ class Explorer(TensorDictModuleBase):
         settings: ExplorationSettings,
         control_dt: float = 0.02,
         part: slice = slice(None),
+        gait: GaitPattern | None = None,
     ) -> None:
         super().__init__()
         self.num_robots = num_robots
@@ -174,7 +177,7 @@ class Explorer(TensorDictModuleBase):
         if settings.warmup == "rhythmic":
             self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, settings.mutation_share)
         elif stepping:
-            self.rhythm = Stepping(robot, robots, settings.gait_time, control_dt, settings.mutation_share)
+            self.rhythm = Stepping(robot, robots, settings.gait_time, control_dt, settings.mutation_share, gait)
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -12,6 +13,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from gctd3.errors import ConfigError
+from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.robot import Robot
 
 GRAVITY = 9.81  # m/s^2
@@ -34,6 +36,7 @@ class Stepping(torch.nn.Module):
         trial: Time for which a gait is tried (s).
         control_dt: Control period (s).
         mutation_share: Share of new gaits that descend from others.
+        gait: Frequency and phases of the feet of all gaits; they evolve if ``None``.
 
     Raises:
         ConfigError: If no foot has a driven joint of its own.
@@ -71,7 +74,13 @@ class Stepping(torch.nn.Module):
     DAMPING = 0.05  # of the pseudo-inverse, leg lengths
 
     def __init__(
-        self, robot: Robot, num_robots: int, trial: float, control_dt: float, mutation_share: float = 0.8
+        self,
+        robot: Robot,
+        num_robots: int,
+        trial: float,
+        control_dt: float,
+        mutation_share: float = 0.8,
+        gait: GaitPattern | None = None,
     ) -> None:
         super().__init__()
         self._length = robot.leg_length
@@ -85,6 +94,7 @@ class Stepping(torch.nn.Module):
         self.register_buffer("lagging", lag, persistent=False)
         self.register_buffer("joints", _joint_paths(robot, self.DAMPING * self._length), persistent=False)
         self.groups = int(group.max()) + 1
+        self._fixed = {} if gait is None else _fixed_genes(gait, robot.foot_pairs, self._pendulum)
         for name, values in self._draw(num_robots).items():
             self.register_buffer(name, values)
             self.register_buffer(f"best_{name}", values.clone())
@@ -100,7 +110,7 @@ class Stepping(torch.nn.Module):
         for name, (low, high, paired) in self.GENES.items():
             shape = (count, self.groups) if paired else (count,)
             drawn[name] = low + (high - low) * torch.rand(shape)
-        return drawn
+        return drawn | {name: value.expand(count, *value.shape).clone() for name, value in self._fixed.items()}
 
     def _children(self, count: int) -> dict[str, Tensor]:
         """Draw mutations of the fittest gaits among a few that robots remember, one for each robot."""
@@ -109,6 +119,8 @@ class Stepping(torch.nn.Module):
         descends = (torch.rand(count) < self._share) & self.fitness[parent].isfinite()
         children = self._draw(count)
         for name, (low, high, paired) in self.GENES.items():
+            if name in self._fixed:
+                continue
             values = getattr(self, f"best_{name}")[parent]
             values = values + self.MUTATION * (high - low) * torch.randn_like(values)
             values = values % 1.0 if name in self.CYCLIC else values.clamp(low, high)
@@ -158,13 +170,35 @@ class Stepping(torch.nn.Module):
         side = sway[:, None].expand_as(up)
         return torch.einsum("nfd,fda->na", self._length * torch.stack([forward, side, up], dim=-1), self.joints)
 
+    def _fittest(self, count: int) -> dict[str, Tensor]:
+        """Return the genes of the fittest gait, ``count`` times."""
+        best = int(self.fitness.argmax())
+        genes = {name: getattr(self, f"best_{name}")[best] for name in self.GENES}
+        return {name: value.expand(count, *value.shape) for name, value in genes.items()}
+
+    @property
+    def tried(self) -> bool:
+        """Return whether a gait was tried to its end."""
+        return bool(self.fitness.isfinite().any())
+
+    def fittest_action(self, phase: Tensor) -> Tensor:
+        """Return the actions of the fittest gait after states of the given phases; all gaits keep to one frequency.
+
+        Args:
+            phase: Phase of the gait, ``[*]`` (periods).
+
+        Returns:
+            Actions, ``[*, A]``.
+        """
+        genes = self._fittest(len(phase))
+        cycles = phase + self._dt * self._pendulum * genes["frequency"]
+        return self._act(genes, cycles).clamp(-1.0, 1.0)
+
     def fittest(self, steps: int) -> OpenLoop | None:
         """Return the fittest gait as a policy for episodes of up to ``steps`` control steps, if one was tried."""
-        best = int(self.fitness.argmax())
-        if not math.isfinite(float(self.fitness[best])):
+        if not self.tried:
             return None
-        genes = {name: getattr(self, f"best_{name}")[best] for name in self.GENES}
-        genes = {name: value.expand(steps, *value.shape) for name, value in genes.items()}
+        genes = self._fittest(steps)
         cycles = torch.arange(1, steps + 1) * self._dt * self._pendulum * genes["frequency"]
         return OpenLoop(self._act(genes, cycles).clamp(-1.0, 1.0))
 
@@ -197,6 +231,12 @@ def _groups(robot: Robot) -> tuple[Tensor, Tensor]:
             lag[other] = 0.5 if other != foot else 0.0
             count += 1
     return torch.tensor(group), torch.tensor(lag)
+
+
+def _fixed_genes(gait: GaitPattern, pairs: Sequence[Sequence[int]], pendulum: float) -> dict[str, Tensor]:
+    """Return the genes that a gait determines: its frequency, and the phase of the first foot of each pair."""
+    phases = torch.from_numpy(gait.phases[[pair[0] for pair in pairs]]).float()
+    return {"frequency": torch.tensor(gait.frequency / pendulum), "phase": phases}
 
 
 def _joint_paths(robot: Robot, damping: float) -> Tensor:

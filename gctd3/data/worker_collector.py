@@ -130,7 +130,8 @@ class WorkerCollector:
         seed = int(np.random.SeedSequence([self.seed, slot.index, slot.started, frames]).generate_state(1)[0])
         actor, recipe = copy.deepcopy(self.explorer.actor).to("cpu").requires_grad_(False), self.recipe
         task, robots = recipe.task, recipe.settings.num_envs
-        explorer = Explorer(actor, task.robot, robots, self.explorer.settings, task.control_dt, slot.share)
+        exploration = self.explorer.settings
+        explorer = Explorer(actor, task.robot, robots, exploration, task.control_dt, slot.share, task.gait)
         explorer.frames.fill_(frames)
         job = Job(slot.share, seed, self.workers.cpus, self.steps, recipe, Policy(explorer))
         slot.worker, slot.started = None, slot.started + 1

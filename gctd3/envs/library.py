@@ -15,6 +15,7 @@ from gctd3.envs.library_robots import LibraryRobots, observed
 from gctd3.envs.nodes import STATIC, NodeSensor, simulator
 from gctd3.errors import ConfigError, check_kind
 from gctd3.robots.floating_base import Axis
+from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
@@ -38,6 +39,7 @@ class LibraryTask:
     """
 
     num_counters = 0
+    gait: GaitPattern | None = None
     backends: tuple[str, ...] = ("library",)
     abilities: frozenset[Ability] = frozenset()
     endless = False

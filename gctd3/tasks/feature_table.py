@@ -71,6 +71,18 @@ class FeatureTable:
             numbers[..., nodes[0] : nodes[-1] + 1, start : start + width] = values
         return numbers
 
+    def place(self, reading: str) -> tuple[int, int]:
+        """Return the node and the number of a reading.
+
+        Raises:
+            KeyError: If no feature has a reading of this name.
+        """
+        for node, row in enumerate(self.readings):
+            for number, one in enumerate(row):
+                if one is not None and one.name == reading:
+                    return node, number
+        raise KeyError(reading)
+
     def check(self, sensed: Sensed) -> None:
         """Raise a :class:`.ConfigError` unless every feature returns finite numbers of the declared shape."""
         for name, feature, nodes, _, width in self._placed:

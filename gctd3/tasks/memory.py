@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 
@@ -10,18 +11,25 @@ from gctd3.errors import ConfigError
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.term_checks import called, reading
 from gctd3.tasks.terminations import STEPS
-from gctd3.tasks.terms import Command, Remembered, RobotFacts, Step, Term
+from gctd3.tasks.terms import Command, Remembered, RobotFacts, Step
 
 Memory = dict[str, np.ndarray]  # by name; every array is overwritten by the next, none changes in place
 Generator = np.random.Generator | np.random.RandomState
 COMMAND = "command."  # prefix of a command's name in the memory
 
 
+class Remembering(Protocol):
+    """Represent a part of a task that remembers arrays from step to step."""
+
+    def remembers(self) -> tuple[Remembered, ...]:
+        """Return the arrays."""
+
+
 class EpisodeMemory:
     """Begin and advance the memory of an episode.
 
     Args:
-        terms: Terms whose arrays are remembered, by a name for messages.
+        terms: Terms and features whose arrays are remembered, by a name for messages.
         commands: Commands by name.
         facts: Facts of the robot.
 
@@ -29,7 +37,7 @@ class EpisodeMemory:
         ConfigError: If two terms remember different arrays by one name.
     """
 
-    def __init__(self, terms: Mapping[str, Term], commands: Mapping[str, Command], facts: RobotFacts) -> None:
+    def __init__(self, terms: Mapping[str, Remembering], commands: Mapping[str, Command], facts: RobotFacts) -> None:
         self.commands, self.facts = commands, facts
         requests: dict[str, tuple[str, Remembered]] = {}
         for where, term in terms.items():

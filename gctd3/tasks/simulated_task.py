@@ -6,11 +6,13 @@ for one robot, ``[N]`` for a batch) and returns new ones; nothing here steps a s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from array_api_compat import array_namespace
 
 from gctd3.errors import ConfigError, RobotError, check_kind, suggest
 from gctd3.robots.graph import KinematicGraph
@@ -19,6 +21,7 @@ from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.feature_table import FeatureTable
 from gctd3.tasks.features import NodeFeature, Sensed
+from gctd3.tasks.gait_clock import GaitClock
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.memory import EpisodeMemory, Generator, Memory
 from gctd3.tasks.outcome import Outcome
@@ -27,7 +30,7 @@ from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import Ability, TaskSettings
 from gctd3.tasks.term_checks import called, check_mapping, check_terms, reading, trying
 from gctd3.tasks.terminations import MOST_STEPS, STEPS, TimeLimit
-from gctd3.tasks.terms import Command, Randomisation, RobotFacts, Step, Termination
+from gctd3.tasks.terms import Array, Command, Randomisation, RobotFacts, Step, Termination
 
 
 @dataclass(frozen=True)
@@ -117,7 +120,10 @@ class SimulatedTask:
         self.terms = self._reward_terms()
         ends = {f"task.terminations.{name}": term for name, term in self.terminations.items()}
         terms = {f"reward.terms.{name}": term for name, term in self.terms.items()}
-        self.memory = EpisodeMemory({**terms, **ends}, self.commands, self.facts)
+        features = {f"task.features.{name}": f for name, f in settings.features.items() if f is not None}
+        self.memory = EpisodeMemory({**terms, **ends, **features}, self.commands, self.facts)
+        clocks = [feature for feature in features.values() if isinstance(feature, GaitClock)]
+        self.gait = clocks[0].pattern(robot) if clocks else None
         self._base = robot.base
         standing = self._base.read(robot.standing_qpos, np.zeros(robot.model.nv))
         self._standing = {name: value for name, (value, _) in standing.items()}
@@ -230,6 +236,20 @@ class SimulatedTask:
     def node_features(self, now: Measurement, memory: Memory | None = None) -> np.ndarray:
         """Return the features of every node in one frame, ``float32 [*, N, F]``; see :class:`.FeatureTable`."""
         return self.table(Sensed(now, memory or {}, self.facts))
+
+    def phase(self, nodes: Array) -> Array:
+        """Return the phase that a task with a clock shows in observations, in periods from an episode's start.
+
+        Args:
+            nodes: Observations of the nodes, ``[*, N, F * H]``, of NumPy or PyTorch.
+
+        Returns:
+            Phases, ``[*]``.
+        """
+        xp, foot = array_namespace(nodes), self.robot.feet[0]
+        newest = nodes[..., (self.history - 1) * self.features :]
+        sine, cosine = (newest[(..., *self.table.place(f"{wave}_{foot}"))] for wave in ("clock_sin", "clock_cos"))
+        return xp.atan2(sine, cosine) / (2 * math.pi) - float(self.facts.foot_phases[0])
 
     def counters(self, memory: Memory) -> np.ndarray:
         """Return the progress to each time-based termination, ``float32 [*, K]``, for critics, not policies."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from gctd3.errors import ConfigError, RunError, check_between
+from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
@@ -36,6 +37,7 @@ class Task(Protocol):
         backends: Backends on which the task runs; see :class:`.EnvSettings`.
         abilities: Operations that the task and its policies support.
         endless: Whether an episode may go on forever, so that it cannot be evaluated.
+        gait: Gait for which the policy observes a clock, or ``None``.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Task(Protocol):
     backends: tuple[str, ...]
     abilities: frozenset[Ability]
     endless: bool
+    gait: GaitPattern | None
 
     def reflection(self) -> Reflection:
         """Return the reflection of the task's observations and actions.

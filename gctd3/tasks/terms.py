@@ -19,6 +19,7 @@ from array_api_compat import array_namespace
 
 from gctd3.errors import ConfigError
 from gctd3.robots.actuators import torque_limit
+from gctd3.robots.gait_pattern import alternating_phases
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.nodes import foot_slots
 from gctd3.robots.robot import Robot
@@ -82,6 +83,7 @@ class RobotFacts:
         hip_mirror_signs: +1 if equal angles of a hip and its mirror image mirror each other, else -1, shape ``[feet]``.
         foot_pairs: Indices of the feet that mirror each other, shape ``[P, 2]``.
         mirror_feet: Index of each foot's mirror image, or its own if it has none, shape ``[feet]``.
+        foot_phases: Phase of each foot in a gait in which legs take turns, shape ``[feet]`` (periods).
         base: Names of the coordinates in ``Measurement.base``.
         node_joints: Index in ``Measurement.angles`` of each joint node's joint, shape ``[J]``.
         foot_slots: Ground node of each foot, counted from the last one (-1), and place there, shape ``[feet, 2]``.
@@ -101,6 +103,7 @@ class RobotFacts:
     hip_mirror_signs: np.ndarray
     foot_pairs: np.ndarray
     mirror_feet: np.ndarray
+    foot_phases: np.ndarray
     base: tuple[str, ...]
     node_joints: np.ndarray
     foot_slots: np.ndarray
@@ -125,6 +128,7 @@ class RobotFacts:
             hip_mirror_signs=np.array([robot.mirror_sign(hip.name) for hip in robot.hips]),
             foot_pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
             mirror_feet=np.array(robot.mirror_feet),
+            foot_phases=alternating_phases(robot),
             base=robot.base.extra,
             node_joints=np.array([names.index(name) for name in graph.nodes if name in names]),
             foot_slots=foot_slots(robot),

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from gctd3.algorithms.settings import AlgorithmSettings
+from gctd3.algorithms.settings import AlgorithmSettings, ImitationSettings
 from gctd3.data.settings import ExplorationSettings, InlineSettings, ProcessSettings, ReplaySettings
 from gctd3.envs.settings import MOST_ROBOTS, MOST_THREADS, EnvSettings
 from gctd3.envs.simulation import substeps_of
@@ -55,6 +55,7 @@ class TrainSettings:
         network: Networks.
         exploration: Warm-up and noise.
         replay: Memory of transitions.
+        imitation: How the policy begins as the gait that the warm-up found.
         evaluation: Evaluations.
         stop_when: Conditions on evaluations.
         collector: Processes that step the robots.
@@ -88,6 +89,7 @@ class TrainSettings:
     replay: ReplaySettings
     evaluation: EvaluationSettings
     stop_when: StopWhen
+    imitation: ImitationSettings = field(default_factory=ImitationSettings)
     collector: InlineSettings | ProcessSettings = field(default_factory=InlineSettings)
     seed: int = 0
     total_frames: int = 600_000

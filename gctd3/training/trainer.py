@@ -19,6 +19,7 @@ from torchrl import torchrl_logger
 from tqdm import tqdm
 
 from gctd3.algorithms.base import Algorithm
+from gctd3.algorithms.imitation import Imitation
 from gctd3.config.build import again
 from gctd3.config.fields import in_yaml
 from gctd3.data.build_collector import build_collector
@@ -98,7 +99,8 @@ class Trainer:
     def _new_learner(self) -> tuple[Algorithm, Explorer]:
         settings, task = self.settings, self.setup.task
         algorithm = settings.algo.build(self.setup.architecture(self.device))
-        exploring = Explorer(algorithm.actor, task.robot, settings.env.num_envs, settings.exploration, task.control_dt)
+        robots, exploration = settings.env.num_envs, settings.exploration
+        exploring = Explorer(algorithm.actor, task.robot, robots, exploration, task.control_dt, gait=task.gait)
         return algorithm, exploring
 
     def _begin_from_a_run(self) -> None:
@@ -173,6 +175,8 @@ class Trainer:
         self.replay.extend(collected)
         metrics: dict[str, Tensor] = {}
         if not self.explorer.warming_up and self.replay.ready:
+            if not self.algorithm.updates:
+                self._imitate()
             for _ in range(settings.batch_updates):
                 seen["batch"] = self.replay.sample()
                 metrics = self.algorithm.update(seen["batch"])
@@ -193,6 +197,24 @@ class Trainer:
             now.promising = now.frames
         elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
             self._begin_again(bar)
+
+    def _imitate(self) -> None:
+        """Let the actor begin as the fittest gait of the warm-up, if it is asked to."""
+        self._follow_gait()
+        if self.algorithm.imitation is not None:
+            rate = self.settings.algo.learning_rate
+            difference = self.algorithm.imitation.begin(self.algorithm.actor, self.replay.sample, rate)
+            self.algorithm.average_from_actor()
+            tqdm.write(f"The policy begins as the warm-up's fittest gait (mean squared difference {difference:.1e}).")
+
+    def _follow_gait(self) -> None:
+        """Let the algorithm imitate the warm-up's fittest gait, if it is asked to and one was tried."""
+        settings, gait, task = self.settings.imitation, self.explorer.rhythm, self.setup.task
+        if not settings.updates or self.settings.init is not None or task.gait is None:
+            return
+        if isinstance(gait, Stepping) and gait.tried:
+            task = cast(SimulatedTask, task)
+            self.algorithm.imitation = Imitation(settings, lambda seen: gait.fittest_action(task.phase(seen["nodes"])))
 
     def _begin_again(self, bar: tqdm[Any]) -> None:
         """Begin again with new weights, an empty replay and a warm-up; keep the best policy and, inline, the robots."""
@@ -299,6 +321,8 @@ class Trainer:
         self.log.restore(state["rows"], self.counters.frames)
         self.algorithm.load_state_dict(state["algorithm"])
         self.explorer.load_state_dict(state["explorer"])
+        if self.algorithm.updates:
+            self._follow_gait()
         self.collector.load_state_dict(state["collector"])
         load_random_state(state["random"], self.device)
         self._clock = time.monotonic()

@@ -11,6 +11,7 @@ from tensordict import TensorDict
 
 from gctd3.data.stepping import Stepping
 from gctd3.envs.simulation import Simulation
+from gctd3.robots.gait_pattern import GaitPattern, alternating_phases
 from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.terminations import Fall
 from gctd3.tasks.walk import WalkingTask, WalkSettings, paper_terminations
@@ -164,3 +165,52 @@ def test_a_training_says_how_far_that_gait_gets(tmp_path, capsys):
     assert capsys.readouterr().out.count("The fittest open-loop gait of the warm-up: ") == 1
     reached = json.loads((run / "open_loop.json").read_text())
     assert reached["episodes"] == 2 and reached["distance_mean"] < 15.1
+
+
+def clocked(robot, robots=8, trial=0.1):
+    torch.manual_seed(0)
+    pattern = GaitPattern(2.0, alternating_phases(robot))
+    return pattern, Stepping(robot, robots, trial, 0.02, gait=pattern)
+
+
+def test_with_a_clock_all_gaits_keep_to_it(quadruped):
+    """However the gaits evolve, their frequency and their feet's phases are the clock's."""
+    pattern, gaits = clocked(quadruped)
+    begins = torch.ones(8, dtype=torch.bool)
+    position = torch.zeros(8)
+    for _ in range(40):
+        gaits(begins, position)
+        begins, position = torch.rand(8) < 0.05, position + torch.rand(8)
+    pendulum = gaits._pendulum
+    torch.testing.assert_close(gaits.frequency * pendulum, torch.full((8,), 2.0))
+    phases = (gaits.phase[:, gaits.pair_of] + gaits.lagging) % 1.0
+    torch.testing.assert_close(phases, torch.from_numpy(pattern.phases).float().expand(8, -1))
+    assert gaits.stride.std() > 0
+
+
+def test_feet_are_lifted_while_the_clock_lets_them_swing(quadruped):
+    pattern, gaits = clocked(quadruped)
+    gaits.lag.zero_()
+    genes = {name: getattr(gaits, name) for name in gaits.GENES}
+    for cycles in (0.1, 0.3, 0.6, 0.9):
+        phases = (cycles + pattern.phases) % 1.0
+        flat = genes | {"lift": torch.zeros_like(gaits.lift)}
+        lifted, walked = (gaits._act(g, torch.full((8,), cycles)) for g in (genes, flat))
+        for foot, leg in enumerate(quadruped.legs):
+            columns = [quadruped.actuated.index(joint.name) for joint in leg]
+            moved = (lifted - walked)[:, columns].abs().max()
+            assert (moved > 1e-3) == (phases[foot] < 0.5), (cycles, foot)
+
+
+def test_the_fittest_action_is_that_of_its_time(quadruped):
+    """By the phase of a state, however it came about, the same actions as in the list from an episode's start."""
+    _, gaits = clocked(quadruped, trial=0.04)
+    assert not gaits.tried
+    gaits(torch.ones(8, dtype=torch.bool), torch.zeros(8))
+    for step in range(1, 4):
+        gaits(torch.zeros(8, dtype=torch.bool), 0.01 * step * torch.rand(8))
+    assert gaits.tried
+    played = gaits.fittest(30)
+    listed = torch.stack([played(TensorDict({}, [1]))["action"][0] for _ in range(30)])
+    phases = (torch.arange(30) * 0.02 * 2.0) % 1.0
+    torch.testing.assert_close(gaits.fittest_action(phases), listed, rtol=1e-4, atol=1e-4)

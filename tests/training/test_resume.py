@@ -50,6 +50,24 @@ def test_stopped_in_the_warm_up_and_twice_more(finished, tmp_path):
     assert_same_run(whole, part)
 
 
+def test_stopped_while_it_imitates_a_gait(tmp_path, capsys):
+    """The gait is known again after the warm-up in which it evolved, and pulls as strongly as before."""
+    settings = [
+        "robot=quadruped",
+        "robot.action_scale=0.3",
+        "exploration.warmup=stepping",
+        "exploration.gait_time=0.1",
+        "+task.features.clock._target_=gctd3.GaitClock",
+        "imitation.updates=3",
+        "imitation.critics_first=2",
+    ]
+    whole = train(tmp_path / "whole", *settings)
+    assert "The policy begins as the warm-up's fittest gait" in capsys.readouterr().out
+    part = stopped(tmp_path / "part", 128, *settings)
+    assert command("train", f"resume={part}") == 0
+    assert_same_run(whole, part)
+
+
 @pytest.mark.parametrize("storage", ["frames", pytest.param("stacked", marks=pytest.mark.nightly)])
 def test_stopped_after_it_had_begun_again(tmp_path, storage):
     never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=80", "exploration.learning_starts=40"]
