@@ -161,14 +161,18 @@ class TrainSettings:
                 f"{drawn * self.env.num_envs} can be drawn, replay.batch_size is {self.replay.batch_size}."
             )
 
-    def setup(self) -> Setup:
+    def setup(self, robot: Robot | None = None) -> Setup:
         """Read the robot, build its graph and its task, and check the settings that depend on them.
+
+        Args:
+            robot: The robot, if it need not be read: the copy of a run.
 
         Raises:
             RobotError: If the robot cannot be used.
             ConfigError: If a setting does not fit it.
         """
-        task = self.task.build(self.robot, self.reward)
+        asked = self.robot if robot is None else GivenRobot.of(self.robot, robot)
+        task = self.task.build(asked, self.reward)
         for key, asked, ability in (("replay.mirror", self.replay.mirror, "mirror"), ("video", self.video, "film")):
             if asked is True and ability not in task.abilities:
                 raise ConfigError(f"{key} must be false for {task.name}, got true: {ability} is for simulated tasks.")
