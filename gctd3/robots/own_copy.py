@@ -21,7 +21,7 @@ import numpy as np
 
 import gctd3
 from gctd3.errors import RobotError, RunError
-from gctd3.files import MANIFEST, check_file, checksum, new_directory, read_manifest, write_manifest
+from gctd3.files import MANIFEST, OWN_MJCF, OWN_ROBOT, check_file, checksum, new_directory, read_manifest, write_manifest
 from gctd3.robots.load import load_robot, parse_mjcf
 from gctd3.robots.physics import combined, part_hashes, physics_hash, solid_geoms
 from gctd3.robots.robot import Robot
@@ -31,7 +31,7 @@ from gctd3.robots.sources import DESCRIPTION, MENAGERIE, Source, find_place, pac
 if TYPE_CHECKING:
     from gctd3.robots.portable import Portable
 
-FOLDER, MJCF, NUMBERS = "robot", "robot.xml", "numbers.npz"
+NUMBERS = "numbers.npz"
 FORMAT = 1
 # Numbers that are not kept: MuJoCo makes them of files that are, or they only show the robot.
 _REMADE = ("mesh_", "hfield_", "skin_", "tex_", "bvh_", "oct_", "flexedge_", "mat_", "light_", "cam_")
@@ -49,8 +49,14 @@ def keep_robot(robot: Robot, run: Path) -> None:
         run: Directory of the run.
 
     Raises:
+        RunError: If something else is in its place.
         OSError: If it cannot be written.
     """
+    folder = run / OWN_ROBOT
+    if has_robot(run):
+        shutil.rmtree(folder)  # of a training that was broken off before it had anything to continue
+    elif folder.exists():
+        raise RunError(f"{folder} is in the place of a run's own copy of its robot: choose another hydra.run.dir.")
     parts, portable = part_hashes(robot.model), robot.written.portable() if robot.written is not None else None
     source = robot.source
     content: dict[str, Any] = {
@@ -73,7 +79,7 @@ def keep_robot(robot: Robot, run: Path) -> None:
         "files": {},
         "left_out": [],
     }
-    with new_directory(run / FOLDER) as aside:
+    with new_directory(folder) as aside:
         if portable is not None:
             _write(robot.model, portable, aside)
             content["files"] = {file.name: checksum(file) for file in sorted(aside.iterdir())}
@@ -94,7 +100,7 @@ def _path(source: Source) -> str:
 
 
 def _write(model: mujoco.MjModel, portable: Portable, folder: Path) -> None:
-    (folder / MJCF).write_text(portable.mjcf, encoding="utf-8")
+    (folder / OWN_MJCF).write_text(portable.mjcf, encoding="utf-8")
     for name, file in portable.assets.items():
         shutil.copyfile(file, folder / name)
     kept = np.array(portable.geoms, dtype=np.int64)
@@ -120,7 +126,7 @@ def _numbers(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
 
 def has_robot(run: Path) -> bool:
     """Tell whether a run has a copy of its robot, or at least the hash of it."""
-    return (run / FOLDER / MANIFEST).is_file()
+    return (run / OWN_ROBOT / MANIFEST).is_file()
 
 
 @dataclass(frozen=True)
@@ -144,7 +150,7 @@ class OwnCopy:
         """
         if not has_robot(run):
             return None
-        folder = run / FOLDER
+        folder = run / OWN_ROBOT
         content = read_manifest(folder)
         if content.get("format") != FORMAT:
             raise RunError(
@@ -181,7 +187,7 @@ class OwnCopy:
         for name, sha256 in self.content["files"].items():
             check_file(self.folder / name, sha256)
         try:
-            model = parse_mjcf(self.folder / MJCF).compile()
+            model = parse_mjcf(self.folder / OWN_MJCF).compile()
             self._put_numbers(model)
         except (RobotError, ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise RunError(f"{self.folder} cannot be read: {error}") from error
@@ -268,7 +274,7 @@ class OwnCopy:
             return f"The robot's source cannot be used any more, the run's own copy is: {error}"
         return self.differences(now, str(source.file), "; the run's own copy is used")
 
-    def differences(self, now: Robot, name: str, consequence: str) -> str | None:
+    def differences(self, now: Robot, name: str, consequence: str = "") -> str | None:
         """Describe in a line how a robot differs from the copy; ``None`` if it does not."""
         parts = part_hashes(now.model)
         wrong = _differing(self.content["parts"], parts)
@@ -281,16 +287,16 @@ class OwnCopy:
         hashes = f"hash {self.hash[:_SHORT]} in the run, {combined(parts)[:_SHORT]} there"
         return f"{name} differs from the robot of the run in {', '.join(wrong)} ({hashes}){consequence}."
 
-    def drawn(self, settings: RobotSettings) -> Robot:
-        """Return the robot with its visual meshes, if its source is there and unchanged; else as it is kept."""
+    def drawn(self, robot: Robot, settings: RobotSettings) -> Robot:
+        """Return the robot of the copy with its visual meshes, if its source is there and unchanged; else as it is."""
         was, source = self.source, self.find_source()
         if not self.content["left_out"] or was is None or source is None or source.sha256 != was.sha256:
-            return self.robot
+            return robot
         try:
             shown = load_robot(_from(settings, source)).model
         except RobotError:
-            return self.robot
-        return replace(self.robot, model=shown) if physics_hash(shown) == self.hash else self.robot
+            return robot
+        return replace(robot, model=shown) if physics_hash(shown) == self.hash else robot
 
 
 def _from(settings: RobotSettings, source: Source) -> RobotSettings:
@@ -319,25 +325,3 @@ def _show(model: mujoco.MjModel) -> None:
         if body and not seen[model.geom_bodyid == body].any():
             model.geom_group[geom] = 0
             model.geom_rgba[geom, 3] = max(float(model.geom_rgba[geom, 3]), 1.0)
-
-
-@dataclass(frozen=True)
-class OwnCopySettings(RobotSettings):
-    """Hold the settings of a robot that is not read again, but given by the copy of a run.
-
-    Attributes:
-        robot: The robot.
-    """
-
-    robot: Robot | None = None
-
-    def load(self, feet: Any = None) -> Robot:  # noqa: ANN401 - as above
-        """Return the robot, with other feet if some are named."""
-        if self.robot is None:
-            return super().load(feet)
-        return self.robot if feet is None else replace(self.robot, feet=tuple([feet] if isinstance(feet, str) else feet))
-
-    @classmethod
-    def of(cls, settings: RobotSettings, robot: Robot) -> OwnCopySettings:
-        """Return settings that give this robot."""
-        return cls(**{name: getattr(settings, name) for name in RobotSettings.__dataclass_fields__}, robot=robot)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from gctd3.algorithms.settings import AlgorithmSettings
 from gctd3.data.settings import ExplorationSettings, InlineSettings, ProcessSettings, ReplaySettings
@@ -12,12 +12,15 @@ from gctd3.envs.settings import MOST_ROBOTS, MOST_THREADS, EnvSettings
 from gctd3.envs.simulation import substeps_of
 from gctd3.errors import ConfigError, check_between, check_seed
 from gctd3.nn.settings import NetworkSettings
-from gctd3.robots.settings import RobotSettings
+from gctd3.robots.settings import GivenRobot, RobotSettings
 from gctd3.setup.setup import Setup
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import TaskSettings, check_backend
 from gctd3.training.device import check_device, check_index
 from gctd3.training.stop_when import StopWhen
+
+if TYPE_CHECKING:
+    from gctd3.robots.robot import Robot
 
 
 @dataclass(frozen=True)
