@@ -3,8 +3,8 @@
     python benchmarks/ship_policy.py run=DIR [commit=COMMIT] [to=models/biped/policy]
 
 Evaluates it over 50 episodes first, and refuses one that does not walk as ``conf/stop_when/walk.yaml`` says. What is
-written is a run without its training: configuration, robot, policy, ``evaluation.json``. ``commit`` is the one that trained
-it, by default this checkout's.
+written is a run without its training: configuration, robot, policy, ``evaluation.json``. ``commit`` is the one that
+trained it, by default this checkout's.
 """
 
 from __future__ import annotations

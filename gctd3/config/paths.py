@@ -11,6 +11,7 @@ KEYS = ("run", "resume", "runs", "out", "init", "robot.name", *RUN_DIRECTORIES)
 _NULL = ("", "null")
 _SWEEPS = ("-m", "--multirun", "hydra.mode=MULTIRUN")
 _PLAIN = re.compile(r"[A-Za-z0-9_./-]*/[A-Za-z0-9_./-]*")  # what Hydra reads as a text as it is
+_ESCAPED = re.compile(r"\\([\\()\[\]{}:=, \t])")
 _QUOTED = re.compile(r"'(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\"", re.DOTALL)
 
 
@@ -43,7 +44,9 @@ def _literal(argument: str, sweeping: bool) -> str:
         return argument
     there = exists(value)
     several = sweeping and key not in RUN_DIRECTORIES and re.search(r"[,(]", value)
-    if not there and (several or _QUOTED.fullmatch(value) or "\\" in value):
+    # Hydra's own ways to write a path: quoted, or each special character after a backslash.
+    meant = _QUOTED.fullmatch(value) or (_ESCAPED.search(value) and exists(_ESCAPED.sub(r"\1", value)))
+    if not there and (several or meant):
         return argument
     return f"{name}={quoted(value, interpolated=key in RUN_DIRECTORIES)}"
 

@@ -58,8 +58,8 @@ class Policy:
         if robot is not None and (found := robot_hash(robot)) != self.contract.robot.sha256:
             raise ContractError(
                 f"{file} is of another robot: it was trained for {self.contract.robot.name!r}, whose MJCF is not "
-                f"{robot} (hash {self.contract.robot.sha256[:12]}, not {found[:12]}). Of a robot that settings complete "
-                "give the copy that its run keeps, RUN/robot."
+                f"{robot} (hash {self.contract.robot.sha256[:12]}, not {found[:12]}). Of a robot that settings "
+                "complete give the copy that its run keeps, RUN/robot."
             )
         self._session = _open(file, self.contract)
         servos = self.contract.servos

@@ -1,8 +1,8 @@
 """The copy of its robot that a run keeps: the model that was completed for it, whatever becomes of its source.
 
-    robot/manifest.json   what the robot is: feet, forward axis, actions, hash, source, checksums of the other files
-    robot/robot.xml       the completed model, which MuJoCo reads by itself; colliding meshes and heightfields beside it
-    robot/numbers.npz     its numbers to the last bit, for MuJoCo writes an MJCF with six digits
+* ``robot/manifest.json``: what the robot is: feet, forward axis, actions, hash, source, checksums of the other files.
+* ``robot/robot.xml``: the completed model, as MuJoCo reads it; beside it colliding meshes and heightfields.
+* ``robot/numbers.npz``: its numbers to the last bit, for MuJoCo writes an MJCF with six digits.
 """
 
 from __future__ import annotations
@@ -21,8 +21,17 @@ import numpy as np
 
 import gctd3
 from gctd3.errors import RobotError, RunError
-from gctd3.files import MANIFEST, OWN_MJCF, OWN_ROBOT, check_file, checksum, new_directory, read_manifest, write_manifest
-from gctd3.robots.load import load_robot, parse_mjcf
+from gctd3.files import (
+    MANIFEST,
+    OWN_MJCF,
+    OWN_ROBOT,
+    check_file,
+    checksum,
+    new_directory,
+    read_manifest,
+    write_manifest,
+)
+from gctd3.robots.load import load_robot
 from gctd3.robots.physics import combined, part_hashes, physics_hash, solid_geoms
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
@@ -107,8 +116,8 @@ def _write(model: mujoco.MjModel, portable: Portable, folder: Path) -> None:
     numbers = {
         name: values[kept] if name.startswith("geom_") else values for name, values in _numbers(model) if values.size
     }
-    with (folder / NUMBERS).open("wb") as file:
-        np.savez_compressed(file, **numbers)
+    with (folder / NUMBERS).open("wb") as opened:
+        np.savez_compressed(opened, **numbers)  # type: ignore[arg-type]
 
 
 def _numbers(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
@@ -169,6 +178,11 @@ class OwnCopy:
         return bool(self.content["files"])
 
     @property
+    def present(self) -> bool:
+        """Return whether it is a copy with all of its files: runs that a report keeps share one."""
+        return self.whole and all((self.folder / name).is_file() for name in self.content["files"])
+
+    @property
     def source(self) -> Source | None:
         """Return the source of the robot as it was."""
         about = self.content["source"]
@@ -187,7 +201,9 @@ class OwnCopy:
         for name, sha256 in self.content["files"].items():
             check_file(self.folder / name, sha256)
         try:
-            model = parse_mjcf(self.folder / OWN_MJCF).compile()
+            # Not by its path, of which MuJoCo reads a backslash as the border of a folder.
+            read = {name: (self.folder / name).read_bytes() for name in self.content["files"] if name != NUMBERS}
+            model = mujoco.MjSpec.from_string(read.pop(OWN_MJCF).decode(), assets=read).compile()
             self._put_numbers(model)
         except (RobotError, ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise RunError(f"{self.folder} cannot be read: {error}") from error
@@ -252,12 +268,7 @@ class OwnCopy:
         places = [str(was.file)] if was.file.is_absolute() else []
         if was.package is not None and not downloaded and (was.ships or package_of(was.place) is not None):
             places.insert(0, was.place)
-        for place in places:
-            try:
-                return find_place(place)
-            except RobotError:
-                continue
-        return None
+        return next((found for found in map(_there, places) if found is not None), None)
 
     def changes(self, settings: RobotSettings) -> str | None:
         """Describe in a line how the source differs from the copy; ``None`` if it does not, or is not there.
@@ -297,6 +308,13 @@ class OwnCopy:
         except RobotError:
             return robot
         return replace(robot, model=shown) if physics_hash(shown) == self.hash else robot
+
+
+def _there(place: str) -> Source | None:
+    try:
+        return find_place(place)
+    except RobotError:
+        return None
 
 
 def _from(settings: RobotSettings, source: Source) -> RobotSettings:

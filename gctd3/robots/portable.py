@@ -1,7 +1,7 @@
 """A completed robot as an MJCF that needs no other file than its own meshes and heightfields.
 
-Visual meshes, skins and pictures are left out. MuJoCo writes an MJCF with six digits, so that numbers are kept beside it
-(:mod:`.own_copy`) and only what is read from the MJCF alone is written whole here.
+Visual meshes, skins and pictures are left out. MuJoCo writes an MJCF with six digits, so that numbers are kept beside
+it (:mod:`.own_copy`) and only what is read from the MJCF alone is written whole here.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ import numpy as np
 from gctd3.robots.physics import solid_geoms
 
 # Settings of the compiler that act on what is compiled already, or say where files are.
-_SETTLED = ("meshdir", "texturedir", "assetdir", "strippath", "settotalmass", "boundmass", "boundinertia")
-_SETTLED += ("discardvisual", "fusestatic", "inertiagrouprange", "balanceinertia", "inertiafromgeom")
+_SETTLED = (
+    *("meshdir", "texturedir", "assetdir", "strippath", "settotalmass", "boundmass", "boundinertia"),
+    *("discardvisual", "fusestatic", "inertiagrouprange", "balanceinertia", "inertiafromgeom"),
+)
 _MESHES = (int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_SDF))
 _UNNAMED = "unnamed\N{SECTION SIGN}"  # begins the names of elements that have none, while they are written
 _PICTURES = ("fileright", "fileleft", "fileup", "filedown", "filefront", "fileback", "file")
@@ -165,7 +167,7 @@ class _Writing:
             if file:
                 self._take(element, file)
             elif "vertex" in element.attrib:
-                element.set("vertex", _text(np.float32(mesh.uservert)))
+                element.set("vertex", _text(np.array(mesh.uservert, dtype=np.float32)))
         files = _paths(model, "hfield")
         for element in assets.findall("hfield"):
             field, file = fields[element.get("name", "")], files.get(element.get("name", ""))
@@ -173,7 +175,7 @@ class _Writing:
             if file:
                 self._take(element, file)
             elif "elevation" in element.attrib:
-                rows = np.float32(field.userdata).reshape(field.nrow, field.ncol)
+                rows = np.array(field.userdata, dtype=np.float32).reshape(field.nrow, field.ncol)
                 element.set("elevation", _text(rows[::-1].ravel()))
         self._drop_pictures(assets)
 

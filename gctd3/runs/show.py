@@ -108,7 +108,10 @@ def view(settings: ViewSettings) -> None:
 
 def _announce(settings: ViewSettings, port: int) -> None:
     url = f"http://{settings.host}:{port}"
-    print(f"{shown(settings.run) if settings.run else f'The policy {SHIPPED}'} walks at {url}; Ctrl-C ends it.", flush=True)
+    print(
+        f"{shown(settings.run) if settings.run else f'The policy {SHIPPED}'} walks at {url}; Ctrl-C ends it.",
+        flush=True,
+    )
     screen = platform.system() != "Linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
     if settings.browser and not (screen and webbrowser.open(url)):
         print(

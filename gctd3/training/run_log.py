@@ -170,5 +170,6 @@ def refuse_a_run(directory: Path) -> None:
     """Raise a :class:`.RunError` if a training has written to ``directory``."""
     if (directory / PROGRESS).exists() or (directory / FOLDER).exists():
         raise RunError(
-            f"{directory} holds a run already: choose another hydra.run.dir, or continue it with {shown(f'resume={directory}')}."
+            f"{directory} holds a run already: choose another hydra.run.dir, or continue it with "
+            f"{shown(f'resume={directory}')}."
         )

@@ -203,7 +203,7 @@ def command_line(run: Path) -> list[str]:
         items = OmegaConf.load(run / OVERRIDES)
         if not isinstance(items, ListConfig):
             raise TypeError("it does not hold a list")
-        return [str(item) for item in OmegaConf.to_container(items, resolve=False)]
+        return [str(item) for item in OmegaConf.to_container(items, resolve=False) or ()]
     except (OSError, YAMLError, OmegaConfBaseException, UnicodeDecodeError, TypeError) as error:
         raise _unusable(run / OVERRIDES, error) from error
 

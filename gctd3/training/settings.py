@@ -174,8 +174,7 @@ class TrainSettings:
             RobotError: If the robot cannot be used.
             ConfigError: If a setting does not fit it.
         """
-        asked = self.robot if robot is None else GivenRobot.of(self.robot, robot)
-        task = self.task.build(asked, self.reward)
+        task = self.task.build(self.robot if robot is None else GivenRobot.of(self.robot, robot), self.reward)
         for key, asked, ability in (("replay.mirror", self.replay.mirror, "mirror"), ("video", self.video, "film")):
             if asked is True and ability not in task.abilities:
                 raise ConfigError(f"{key} must be false for {task.name}, got true: {ability} is for simulated tasks.")

@@ -19,7 +19,8 @@ MESHES = (
     FREE_LEGS.replace('<compiler angle="radian"/>', '<compiler angle="radian" meshdir="forms"/>')
     .replace(
         "<worldbody>",
-        '<asset><mesh name="solid" file="so lid.obj" scale="0.123456789 0.1 0.1"/> <mesh name="shown" file="shown.obj"/>'
+        '<asset><mesh name="solid" file="so lid.obj" scale="0.123456789 0.1 0.1"/>'
+        '<mesh name="shown" file="shown.obj"/>'
         '<texture name="skin" type="2d" file="skin.png"/> <material name="skin" texture="skin"/></asset><worldbody>',
         1,
     )
@@ -146,7 +147,10 @@ def test_a_urdfs_meshes_are_written_whole(tmp_path):
 # Changes of the source.
 
 SAID = {
-    'ctrlrange="-1 1"/> <position name="hip_l"': ('ctrlrange="-0.5 1"/> <position name="hip_l"', "actuator ranges, meaning of actions"),
+    'ctrlrange="-1 1"/> <position name="hip_l"': (
+        'ctrlrange="-0.5 1"/> <position name="hip_l"',
+        "actuator ranges, meaning of actions",
+    ),
     'size="0.1"': ('size="0.11"', "masses, collision geometry"),
     'pos="0 0.1 0"': ('pos="0 0.15 0"', "bodies"),
 }
@@ -237,7 +241,7 @@ def test_a_copy_that_is_another_robot_is_refused(tmp_path):
 def test_a_later_format_is_refused(tmp_path):
     _, copy = kept(RobotSettings("biped"), tmp_path)
     write_manifest(copy.folder, {**read_manifest(copy.folder), "format": 2})
-    with pytest.raises(RunError, match="has format 2; gctd3 .* reads format 1"):
+    with pytest.raises(RunError, match=r"has format 2; gctd3 .* reads format 1"):
         OwnCopy.read(tmp_path)
 
 

@@ -173,6 +173,7 @@ def test_a_run_without_a_copy_reads_its_source(trained, run, monkeypatch, capfd)
     assert OwnCopy.read(run).hash == OwnCopy.read(trained / "run").hash
 
 
+@pytest.mark.nightly
 def test_a_sweeps_runs_keep_a_robot_each(tmp_path, trained):
     """So that each works where it is copied to."""
     line = [*tiny(tmp_path / "unused", "robot=robot.xml", "total_frames=80"), "-m", "algo=gctd3,td3"]
