@@ -3,8 +3,8 @@
     python benchmarks/ship_policy.py run=DIR [commit=COMMIT] [to=models/biped/policy]
 
 Evaluates it over 50 episodes first, and refuses one that does not walk as ``conf/stop_when/walk.yaml`` says. What is
-written is a run without its training: configuration, policy, ``evaluation.json``. ``commit`` is the one that trained
-it, by default this checkout's.
+written is a run without its training: configuration, robot, policy, ``evaluation.json``. ``commit`` is the one that
+trained it, by default this checkout's.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from common import commit, options
 from omegaconf import OmegaConf
 
 from gctd3.config.build import build
-from gctd3.files import new_directory, write_manifest
+from gctd3.files import OWN_ROBOT, new_directory, write_manifest
 from gctd3.runs.evaluate import EVALUATION, evaluate_run, table
 from gctd3.runs.settings import EvaluateSettings
 from gctd3.tasks.reward import Reward
@@ -49,6 +49,7 @@ def fill(folder: Path, run: Path, trained_at: str) -> list[str]:
     for file in (CONFIG, OVERRIDES):
         (folder / file).parent.mkdir(exist_ok=True)
         shutil.copyfile(run / file, folder / file)
+    shutil.copytree(run / OWN_ROBOT, folder / OWN_ROBOT)
     return lacking(json.loads((folder / EVALUATION).read_text(encoding="utf-8")))
 
 

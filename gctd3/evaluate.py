@@ -6,6 +6,7 @@ from omegaconf import DictConfig
 
 from gctd3.config.build import build
 from gctd3.config.command_line import command
+from gctd3.files import shown
 
 
 def _task(config: DictConfig) -> None:
@@ -32,7 +33,7 @@ def _task(config: DictConfig) -> None:
         written += [ROBUSTNESS, ROBUSTNESS_PICTURE]
     if settings.folder is not None:
         files = [settings.folder / name for name in written]
-        print(f"\nWritten to {' and '.join(str(file) for file in files if file.is_file())}")
+        print(f"\nWritten to {' and '.join(shown(file) for file in files if file.is_file())}")
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ from omegaconf import DictConfig
 
 from gctd3.config.build import build
 from gctd3.config.command_line import command
+from gctd3.files import shown
 
 
 def _task(config: DictConfig) -> None:
@@ -13,7 +14,7 @@ def _task(config: DictConfig) -> None:
 
     exported = export_run(build(config))
     print(f"Actions differ from PyTorch's by at most {exported.difference:.1e} over {exported.states:,} states.")
-    print(f"Written to {' and '.join(map(str, exported.files))}")
+    print(f"Written to {' and '.join(map(shown, exported.files))}")
 
 
 def main() -> None:

@@ -9,6 +9,7 @@ import errno
 import hashlib
 import json
 import os
+import shlex
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -26,11 +27,17 @@ if TYPE_CHECKING:
 MANIFEST = "manifest.json"
 TREE = "tree"  # key of the structure in a file's header
 BLOCK = 1 << 20
+OWN_ROBOT, OWN_MJCF = "robot", "robot.xml"  # a run's own copy of its robot, and the MJCF in it
 
 
 def title(place: str) -> str:
     """Return the name of a file that is given by its path or by ``PACKAGE:PATH``: the last part, without its ending."""
     return Path(place.rpartition(":")[2]).stem
+
+
+def shown(path: object) -> str:
+    """Return a path, or an argument with one, such that it can be pasted into a shell."""
+    return shlex.quote(str(path))
 
 
 def save_tree(path: Path, tree: Any) -> str:  # noqa: ANN401 - any nesting

@@ -6,12 +6,13 @@ from omegaconf import DictConfig
 
 from gctd3.config.build import build
 from gctd3.config.command_line import command
+from gctd3.files import shown
 
 
 def _task(config: DictConfig) -> None:
     from gctd3.runs.draw import render_run
 
-    print(f"Written to {render_run(build(config))}")
+    print(f"Written to {shown(render_run(build(config)))}")
 
 
 def main() -> None:

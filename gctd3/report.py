@@ -6,6 +6,7 @@ from omegaconf import DictConfig
 
 from gctd3.config.build import build
 from gctd3.config.command_line import command
+from gctd3.files import shown
 
 
 def _task(config: DictConfig) -> None:
@@ -16,7 +17,7 @@ def _task(config: DictConfig) -> None:
     settings: ReportSettings = build(config)
     file = report(settings)
     print((file.parent / VERDICT).read_text(encoding="utf-8"))
-    print(f"Written to {file}")
+    print(f"Written to {shown(file)}")
 
 
 def main() -> None:

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from gctd3.config.command_line import command
+from gctd3.config.paths import plain, quoted
 from gctd3.errors import RunError
 from gctd3.robots.command_line import robot_file
 from gctd3.training.saved_configuration import CONFIG, HARMLESS, choices
@@ -15,7 +16,7 @@ from gctd3.training.session import train
 
 def main() -> None:
     """Run ``python -m gctd3.train``."""
-    resumed = [argument.split("=", 1)[1] for argument in sys.argv[1:] if argument.startswith("resume=")]
+    resumed = [plain(argument.split("=", 1)[1]) for argument in sys.argv[1:] if argument.startswith("resume=")]
     going_on = bool(resumed) and resumed[-1] not in ("null", "")
     if going_on:
         # Hydra writes to the run's directory, so that no other one is made; without a run it makes none.
@@ -24,7 +25,9 @@ def main() -> None:
             # A damaged file is reported once Hydra runs.
             with contextlib.suppress(RunError):
                 sys.argv[1:1] = choices(Path(resumed[-1]), sys.argv[1:])
-        sys.argv.append(f"hydra.run.dir='{resumed[-1] if exists else '.'}'")
+        # Hydra would read an interpolation there.
+        itself = exists and "${" not in resumed[-1]
+        sys.argv.append(f"hydra.run.dir={quoted(resumed[-1]) if itself else '.'}")
     command("config", train, robot_file, HARMLESS[:-1] if going_on else ())
 
 

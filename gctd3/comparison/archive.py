@@ -9,7 +9,8 @@ from pathlib import Path
 from gctd3.comparison.groups import typical, with_trace
 from gctd3.comparison.runs import READ, Run
 from gctd3.errors import RunError
-from gctd3.files import new_directory
+from gctd3.files import OWN_ROBOT, new_directory
+from gctd3.robots.own_copy import OwnCopy
 from gctd3.runs.evaluate import TRACE
 from gctd3.training.saved_configuration import CONFIG
 
@@ -36,6 +37,8 @@ def keep(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = (
         out: Directory of the report.
         lost: Names of runs without a configuration, which get an empty one.
     """
+    copies = (OwnCopy.read(run.directory) for runs in groups.values() for run in runs)
+    kept = next((copy for copy in copies if copy is not None and copy.present), None)
     with new_directory(out / FOLDER) as aside:
         for runs in groups.values():
             drawn = typical(with_trace(runs))
@@ -44,6 +47,10 @@ def keep(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = (
                     if (run.directory / file).is_file() and (run is drawn or file != Path(TRACE)):
                         (aside / run.name / file).parent.mkdir(parents=True, exist_ok=True)
                         shutil.copyfile(run.directory / file, aside / run.name / file)
+        if kept is not None:
+            # One for all: it may be large, and these runs have no policies that would need it.
+            first = next(run for runs in groups.values() for run in runs if run.directory == kept.folder.parent)
+            shutil.copytree(kept.folder, aside / first.name / OWN_ROBOT, dirs_exist_ok=True)
         for name in lost:
             (aside / name / CONFIG).parent.mkdir(parents=True)
             (aside / name / CONFIG).touch()

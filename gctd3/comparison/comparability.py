@@ -39,6 +39,14 @@ def check_together(runs: Sequence[Run]) -> None:
             variants = [json.loads(text) for text in by_value]
             differing = sorted({k for v in variants for k in v if any(v.get(k) != o.get(k) for o in variants)})
             problems += [f"  {what}, {key}: {_spread(by_value.values(), key)}" for key in differing]
+    by_hash: dict[str, list[str]] = {}
+    for run in runs:
+        if run.robot_hash is not None:
+            by_hash.setdefault(run.robot_hash, []).append(run.name)
+    if len(by_hash) > 1 and not problems:
+        # Of one name, and yet of other masses or gains.
+        each = [f"{key[:12]} in {', '.join(names[:3])}{', ...' * (len(names) > 3)}" for key, names in by_hash.items()]
+        problems.append(f"  robot, hash of its physics: {'; '.join(each)}")
     rewards = {json.dumps(r.evaluation["reward"], sort_keys=True) for r in runs if r.evaluation and _reward(r)}
     if len(rewards) > 1:
         problems.append(f"  the reward of {EVALUATION}; evaluate them again under one")

@@ -7,7 +7,6 @@ from PIL import Image
 
 from gctd3.comparison.runs import Run
 from gctd3.errors import GCTD3Error, RenderError
-from gctd3.robots.robot import Robot
 from gctd3.runs.load import load_run
 from gctd3.training.checkpoint import FOLDER
 from gctd3.viz.film import draw, record
@@ -19,7 +18,7 @@ BEGIN = 7.0  # m, where gaits have settled
 STRIDE = 0.7  # s, for a gait whose stride time is not known
 
 
-def stride_of(run: Run, robot: Robot, camera: str = "side") -> tuple[list[tuple[Image.Image, str]], str, str]:
+def stride_of(run: Run, camera: str = "side") -> tuple[list[tuple[Image.Image, str]], str, str]:
     """Draw one stride of a run's policy past the first metres, in equal steps of time.
 
     Returns:
@@ -40,7 +39,7 @@ def stride_of(run: Run, robot: Robot, camera: str = "side") -> tuple[list[tuple[
         first = int(np.argmax(walk.position >= min(BEGIN, walk.position[-1] / 2)))
         chosen = first + np.round(steps * np.arange(FRAMES) / FRAMES).astype(int)
         chosen = chosen[chosen < len(walk.qpos)]
-        images = list(draw(walk, robot, chosen, camera, (SIZE, SIZE), task.control_dt, words=False))
+        images = list(draw(walk, task.robot, chosen, camera, (SIZE, SIZE), task.control_dt, words=False))
     except GCTD3Error as error:
         raise RenderError(str(error)) from error
     what = "a stride" if strides else f"{STRIDE} s, its stride time being unknown"

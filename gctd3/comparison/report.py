@@ -18,6 +18,7 @@ from gctd3.comparison.settings import ReportSettings
 from gctd3.errors import ConfigError, RenderError, RunError
 from gctd3.evaluation.episode import LAST_METRES
 from gctd3.files import title, write_text
+from gctd3.robots.own_copy import OwnCopy
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
 from gctd3.runs.evaluate import TRACE
@@ -83,7 +84,7 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
     keys = ("name", "feet", "forward", "sources", "source", "root", "pose", "hold")
     named = {key: config[f"robot.{key}"] for key in keys if f"robot.{key}" in config}
     asked = RobotSettings(**named)
-    robot = asked.load() if walks else None
+    robot = _robot(runs, asked) if walks else None
     subject = title(asked.name) if walks else str(config["task.name"])
     gallery = figures.Gallery(out / FIGURES)
 
@@ -140,6 +141,13 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
     write_text(out / VERDICT, "\n".join(sentences) + "\n")
 
 
+def _robot(runs: Sequence[Run], asked: RobotSettings) -> Robot:
+    """Return the robot of runs: the first whole copy that one of them keeps, or else what its source is now."""
+    copies = (OwnCopy.read(run.directory) for run in runs)
+    kept = next((copy for copy in copies if copy is not None and copy.present), None)
+    return asked.load() if kept is None else kept.robot
+
+
 def _gaits(groups: Mapping[str, Sequence[Run]]) -> list[object]:
     from gctd3.comparison.gaits import gaits
 
@@ -159,7 +167,7 @@ def _gait_pictures(groups: Mapping[str, Sequence[Run]], robot: Robot, gallery: G
             continue
         notes, films = [], []
         try:
-            frames, what, caption = stride_of(run, robot)
+            frames, what, caption = stride_of(run)
             title = f"{group}, seed {run.seed}: {what}"
             films.append(gallery.add_film(frames, f"film_{_file(group)}", title, caption))
         except RenderError as error:

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from gctd3.errors import GCTD3Error, RunError
 from gctd3.evaluation.settings import EpisodeSettings
-from gctd3.files import MANIFEST, read_manifest
+from gctd3.files import MANIFEST, OWN_ROBOT, read_manifest
 from gctd3.runs.evaluate import EVALUATION, ROBUSTNESS, TRACE, evaluate_run
 from gctd3.runs.settings import EvaluateSettings
 from gctd3.training.run_log import PROGRESS
@@ -25,6 +25,7 @@ from gctd3.training.trainer import POST_MORTEM
 
 # All files that are read of a run, except its policy.
 READ = (CONFIG, OVERRIDES, *map(Path, (PROGRESS, EVALUATION, TRACE, ROBUSTNESS)), Path(POST_MORTEM) / MANIFEST)
+READ += (Path(OWN_ROBOT) / MANIFEST,)
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class Run:
         failure: Reason why it could not be evaluated.
         trouble: Reason why its training did not come to its end.
         overrides: The command line that it was started with, by key.
+        robot_hash: Hash of the physics of its robot; ``None`` of a run that does not keep it.
     """
 
     directory: Path
@@ -56,6 +58,7 @@ class Run:
     failure: str | None = None
     trouble: str | None = None
     overrides: Mapping[str, str] = field(default_factory=dict)
+    robot_hash: str | None = None
 
     @property
     def seed(self) -> int:
@@ -146,12 +149,14 @@ def read_run(directory: Path, root: Path) -> Run:
     try:
         config = flat(load_config(directory))
         items = command_line(directory) if (directory / OVERRIDES).is_file() else []
-    except RunError as error:
+        own = directory / OWN_ROBOT
+        robot = str(read_manifest(own)["hash"]) if (own / MANIFEST).is_file() else None
+    except (RunError, KeyError) as error:
         raise RunError(f"{error}\nMove {directory} elsewhere to report on the others.") from error
     overrides = dict(item.split("=", 1) for item in items if "=" in item)
     rows = _progress(directory / PROGRESS)
     run = Run(directory, _name(directory, root), config, overrides.get("algo", "gctd3"), rows)
-    return with_results(replace(run, overrides=overrides, trouble=_trouble(run)))
+    return with_results(replace(run, overrides=overrides, robot_hash=robot, trouble=_trouble(run)))
 
 
 def _trouble(run: Run) -> str | None:

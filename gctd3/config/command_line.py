@@ -27,6 +27,7 @@ from yaml import MarkedYAMLError, YAMLError
 from gctd3.compat import own_launcher
 from gctd3.config.fields import TARGET, find, is_settings, meanings
 from gctd3.config.help import CONF, asks_for_help, check_installed, choices, command_of, conf, fail, help_of
+from gctd3.config.paths import literal_paths
 from gctd3.config.suggestions import nearest
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
 from gctd3.files import remove_empty, title
@@ -81,7 +82,7 @@ def _run(
     # Makes Hydra raise its errors, which are reported below in the library's words, instead of printing and exiting.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     try:
-        sys.argv[1:] = rewrite(sys.argv[1:])
+        sys.argv[1:] = rewrite(literal_paths(sys.argv[1:]))
         hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
     except BrokenPipeError:
         _unread()

@@ -7,22 +7,21 @@ so this module needs the standard library only.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import math
 import types
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
-from xml.etree import ElementTree
 
 import gctd3
-from gctd3.errors import ContractError
-from gctd3.files import seal
+from gctd3.errors import ContractError, RobotError, RunError
+from gctd3.files import MANIFEST, OWN_MJCF, OWN_ROBOT, check_file, read_manifest, seal
 
-FORMAT = 2
+FORMAT = 3
 CHECKSUM = "sha256"  # key of the checksum over the rest of the JSON
 ROBOT, ROBOT_HASH = "gctd3.robot", "gctd3.robot_sha256"  # metadata of the ONNX file
 
@@ -117,7 +116,7 @@ class RobotIdentity:
 
     Attributes:
         name: Name of its MJCF file, without the suffix.
-        sha256: Its :func:`robot_hash` when the policy was exported.
+        sha256: Hash of its physics when the policy was trained, see :func:`robot_hash`.
         standing_height_m: Height of the root body's origin above the ground when the robot stands, where ``height_m``
             is 0.
     """
@@ -255,24 +254,33 @@ def _read(value: Any, hint: Any, where: str) -> Any:  # noqa: ANN401 - JSON to t
     raise ContractError(f"{where} must be {expected}, got {value!r}.")
 
 
-def robot_hash(mjcf: str | Path) -> str:
-    """Compute the SHA-256 of an MJCF file and the files that it includes, independent of their line endings.
+def robot_hash(robot: str | Path) -> str:
+    """Compute the hash of a robot's physics, which is the same however its MJCF is spelled.
+
+    Args:
+        robot: A run's directory or its copy of the robot (``RUN/robot``), which needs no MuJoCo; or an MJCF or a URDF
+            file or the name of a shipped robot, which is completed as ``gctd3.train robot=FILE`` does and compiled.
 
     Raises:
-        ContractError: If one of the files cannot be read.
+        ContractError: If it cannot be read, or MuJoCo is needed and is not installed.
     """
-    digest = hashlib.sha256()
-    waiting = [Path(mjcf)]
-    seen: set[Path] = set()
-    while waiting:
-        file = waiting.pop(0)
-        try:
-            content = file.read_bytes().replace(b"\r\n", b"\n")
-            includes = [include.attrib["file"] for include in ElementTree.fromstring(content).iter("include")]
-        except (OSError, ElementTree.ParseError, KeyError) as error:
-            raise ContractError(f"{file} cannot be read as a robot's MJCF: {error}") from error
-        digest.update(content)
-        seen.add(file)
-        # Relative to the main file, as MuJoCo reads them.
-        waiting += [path for name in includes if (path := Path(mjcf).parent / name) not in seen]
-    return digest.hexdigest()
+    place = Path(robot)
+    for folder in (place / OWN_ROBOT, place, place.parent if place.name == OWN_MJCF else place):
+        if (folder / MANIFEST).is_file():
+            try:
+                content = read_manifest(folder)
+                for name, kept in content["files"].items():
+                    check_file(folder / name, kept)
+                return str(content["hash"])
+            except (RunError, KeyError, TypeError, AttributeError) as error:
+                raise ContractError(f"{folder} cannot be read as a run's copy of its robot: {error}") from error
+    try:
+        # Late, since a robot need not have MuJoCo.
+        physics, settings = (import_module(f"gctd3.robots.{name}") for name in ("physics", "settings"))
+        return str(physics.physics_hash(settings.RobotSettings(str(robot)).load().model))
+    except ImportError as error:
+        raise ContractError(
+            f"{robot}: to compare a robot's file needs MuJoCo ({error}); RUN/robot, a run's own copy, needs none."
+        ) from error
+    except RobotError as error:
+        raise ContractError(str(error)) from error

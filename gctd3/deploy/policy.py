@@ -36,7 +36,8 @@ class Policy:
 
     Args:
         path: The ONNX file; its contract is beside it, with the suffix ``.json``.
-        robot: MJCF file of the robot on which the policy runs; if given, the policy must have been trained for it.
+        robot: Robot on which the policy runs, see :func:`.robot_hash`: a run's copy of it, or its MJCF file; if given,
+            the policy must have been trained for it.
 
     Attributes:
         contract: The contract of the policy; ``contract.readings`` names the readings.
@@ -54,10 +55,11 @@ class Policy:
         if file.suffix != ".onnx" or not file.is_file():
             raise ContractError(f"No policy at {file}: expected the .onnx file that gctd3.export writes.")
         self.contract: Contract = read_contract(file.with_suffix(".json"))
-        if robot is not None and robot_hash(robot) != self.contract.robot.sha256:
+        if robot is not None and (found := robot_hash(robot)) != self.contract.robot.sha256:
             raise ContractError(
                 f"{file} is of another robot: it was trained for {self.contract.robot.name!r}, whose MJCF is not "
-                f"{robot}."
+                f"{robot} (hash {self.contract.robot.sha256[:12]}, not {found[:12]}). Of a robot that settings "
+                "complete give the copy that its run keeps, RUN/robot."
             )
         self._session = _open(file, self.contract)
         servos = self.contract.servos

@@ -7,10 +7,11 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from gctd3.deploy.contract import FORMAT, Contract, Feature, NetworkFile, Node, RobotIdentity, Servo, robot_hash
+from gctd3.deploy.contract import FORMAT, Contract, Feature, NetworkFile, Node, RobotIdentity, Servo
 from gctd3.errors import RobotError
 from gctd3.nn.actor import ACTION, NODES
 from gctd3.robots.actuators import torque_limit
+from gctd3.robots.physics import physics_hash
 from gctd3.robots.robot import Robot
 from gctd3.tasks.simulated_task import SimulatedTask
 
@@ -37,7 +38,6 @@ def describe(
 
     Raises:
         RobotError: If an actuator is not a position servo with a gear of 1.
-        ContractError: If the robot's file cannot be read.
     """
     nodes, robot, frames = sensed(task), task.robot, task.history
     network = NetworkFile(
@@ -51,7 +51,7 @@ def describe(
     return Contract(
         format=FORMAT,
         network=network,
-        robot=RobotIdentity(robot.path.stem, robot_hash(robot.path), _standing_height(robot)),
+        robot=RobotIdentity(robot.path.stem, physics_hash(robot.model), _standing_height(robot)),
         control_rate_hz=1.0 / task.control_dt,
         history_frames=frames,
         history_order="oldest first",

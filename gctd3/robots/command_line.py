@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gctd3.config.help import conf
+from gctd3.config.paths import exists, plain, quoted, sweeps
 from gctd3.errors import ConfigError
 
 FREE = "free"  # the option for a robot of one's own whose base is free
@@ -20,13 +21,15 @@ def robot_file(arguments: list[str]) -> list[str]:
         ConfigError: If several need different options, or the task brings its own robot.
     """
     tasks = [argument.removeprefix("task=") for argument in arguments if argument.startswith("task=")]
-    library = bool(tasks) and _brings_its_robot(tasks[-1])
-    return [part for argument in arguments for part in _rewritten(argument, library)]
+    library, sweeping = bool(tasks) and _brings_its_robot(tasks[-1]), sweeps(arguments)
+    return [part for argument in arguments for part in _rewritten(argument, library, sweeping)]
 
 
-def _rewritten(argument: str, library: bool) -> list[str]:
+def _rewritten(argument: str, library: bool, sweeping: bool) -> list[str]:
     key, _, value = argument.partition("=")
-    places = value.split(",")
+    value = plain(value)
+    # A comma may be a part of the name.
+    places = value.split(",") if sweeping and not exists(value) else [value]
     if key != "robot" or not any(map(_is_file, places)):
         if key == "robot" and library and value != _DEFAULT:
             # Its keys would be those of a walk, which the task does not know.
@@ -40,7 +43,7 @@ def _rewritten(argument: str, library: bool) -> list[str]:
         if not _is_file(place):
             raise ConfigError(f"{argument}: {place} is an option and others are files; run them one by one.")
     # Quoted, so that a path may hold what Hydra's grammar would read as its own.
-    rewritten = ["robot.name=" + ",".join("'" + place.replace("'", "\\'") + "'" for place in places)]
+    rewritten = ["robot.name=" + ",".join(map(quoted, places))]
     if library:
         return rewritten  # which the task refuses
     free = [floats(find_place(place).file) for place in places]

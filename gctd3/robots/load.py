@@ -17,6 +17,7 @@ from gctd3.errors import RobotError, one_line
 from gctd3.robots.action_scale import find_action_scale
 from gctd3.robots.completion import FALLS, complete
 from gctd3.robots.home_pose import holds
+from gctd3.robots.portable import Written
 from gctd3.robots.robot import Robot
 from gctd3.robots.sources import Source, find_source
 from gctd3.robots.standing_command import find_standing_command
@@ -50,6 +51,7 @@ def load_robot(settings: RobotSettings, feet: Sequence[str] | None = None) -> Ro
         notes=(*notes, *completed.notes),
         held=completed.held,
     )
+    robot = replace(robot, written=Written(completed.spec, completed.model, source.file.parent))
     scale = find_action_scale(robot, settings.action_scale)
     return robot if scale is None else _about_standing(replace(robot, action_scale=scale))
 

@@ -35,6 +35,7 @@ from gctd3.robots.standing_pose import check_standing, find_standing, find_start
 
 if TYPE_CHECKING:
     from gctd3.robots.mirror_check import MirrorCheck
+    from gctd3.robots.portable import Written
     from gctd3.robots.sources import Source
 
 _LATERAL = 0.7  # least component across the body of the axis of a hip that swings the leg forwards
@@ -62,6 +63,7 @@ class Robot:
         source: Where the file comes from; ``None`` for a model in memory.
         notes: One sentence for each thing that was added to the file or changed.
         held: Angle (rad) of each joint of the file that was fixed, by name.
+        written: What a run keeps of it; ``None`` for a model in memory, in other processes and in copies.
     """
 
     model: mujoco.MjModel
@@ -76,6 +78,7 @@ class Robot:
     source: Source | None = field(default=None, compare=False)
     notes: tuple[str, ...] = field(default=(), compare=False)
     held: Mapping[str, float] = field(default_factory=dict, compare=False)
+    written: Written | None = field(default=None, compare=False, repr=False)
 
     @classmethod
     def from_mjcf(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Literal
 
@@ -91,3 +91,25 @@ class RobotSettings:
         from gctd3.robots.graph import KinematicGraph
 
         return KinematicGraph.from_robot(robot, self.graph, self.graph_seed)
+
+
+@dataclass(frozen=True)
+class GivenRobot(RobotSettings):
+    """Hold the settings of a robot that is given, not read.
+
+    Attributes:
+        robot: The robot.
+    """
+
+    robot: Robot | None = None
+
+    @classmethod
+    def of(cls, settings: RobotSettings, robot: Robot) -> GivenRobot:
+        """Return the settings of a robot with the robot itself."""
+        return cls(**{item.name: getattr(settings, item.name) for item in fields(RobotSettings)}, robot=robot)
+
+    def load(self, feet: Sequence[str] | None = None) -> Robot:
+        """Return the robot that is given, with other feet if some are named."""
+        if self.robot is None:
+            return super().load(feet)
+        return self.robot if feet is None else replace(self.robot, feet=tuple(feet))

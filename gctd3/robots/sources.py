@@ -55,6 +55,7 @@ class Source:
         package: Package that brings it; ``None`` for a file of one's own.
         version: The package's version.
         licence: Licence that the file's folder states, or else the package.
+        recorded: SHA-256 that was computed once; ``None`` to compute it now.
     """
 
     file: Path
@@ -62,6 +63,7 @@ class Source:
     package: str | None = None
     version: str | None = None
     licence: str | None = None
+    recorded: str | None = None
 
     @cached_property
     def sha256(self) -> str:
@@ -69,6 +71,8 @@ class Source:
 
         Line endings of the file and of its includes do not count.
         """
+        if self.recorded is not None:
+            return self.recorded
         digest = hashlib.sha256()
         for file in files_of(self.file):
             content = file.read_bytes()
@@ -192,16 +196,19 @@ def files_of(file: Path) -> list[Path]:
     """
     if is_urdf(file):
         return [file, *dict.fromkeys(collision_meshes(file))]
-    texts, folders, assets = [file], dict[str, str](), list[tuple[str, str]]()
+    texts, folders, assets, attached = [file], dict[str, str](), list[tuple[str, str]](), list[Path]()
     for text in texts:  # grows as they include others
         for element in _elements(text):
             if element.tag == "compiler":
                 folders |= {key: value for key, value in element.attrib.items() if key.endswith("dir")}
                 folders |= {"strippath": element.get("strippath", "false")}
             for key, name in element.attrib.items():
-                if element.tag in ("include", "model") and key == "file":
+                if element.tag == "include" and key == "file":
                     # Relative to the main file, as MuJoCo reads them.
                     texts += [path for path in [file.parent / name] if path not in texts and path.is_file()]
+                elif element.tag == "model" and key == "file":
+                    # A model of its own, with folders of its own.
+                    attached += [path for path in [file.parent / name] if path != file and path.is_file()]
                 elif element.tag in _FOLDERS and key.startswith("file") and key != "filename":
                     assets.append((element.tag, name))
     files = []
@@ -209,7 +216,8 @@ def files_of(file: Path) -> list[Path]:
         name = Path(name).name if folders.get("strippath") == "true" else name
         inside = folders.get(_FOLDERS[kind]) or folders.get("assetdir") or ""
         files += [path for path in [file.parent / inside / name] if path.is_file()]
-    return [*texts, *dict.fromkeys(files)]
+    others = [part for path in dict.fromkeys(attached) for part in files_of(path)]
+    return list(dict.fromkeys([*texts, *files, *others]))
 
 
 def _elements(file: Path) -> Iterator[ElementTree.Element]:

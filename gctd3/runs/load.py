@@ -9,11 +9,13 @@ from typing import Any
 from tensordict.nn import TensorDictModuleBase
 
 from gctd3.files import load_tree
+from gctd3.robots.own_copy import OwnCopy
 from gctd3.setup.setup import Setup
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import Ability, check_able
 from gctd3.training.checkpoint import POLICY, Checkpoints, checked, fit
 from gctd3.training.saved_configuration import find_run, load_settings
+from gctd3.training.saved_robot import setup_of
 from gctd3.training.settings import TrainSettings
 
 
@@ -46,7 +48,10 @@ class LoadedRun:
             RunError: If the task does not have the ability.
         """
         check_able(self.setup.task, ability, self.directory)
-        return self.setup.task.with_reward(reward or self.settings.evaluation.reward)
+        task: Any = self.setup.task.with_reward(reward or self.settings.evaluation.reward)
+        copy = OwnCopy.read(self.directory) if ability == "film" else None
+        # The copy has no visual meshes.
+        return task if copy is None else task.on(copy.drawn(self.setup.robot, self.settings.robot))
 
 
 def load_run(run: str | Path | None = None) -> LoadedRun:
@@ -61,7 +66,7 @@ def load_run(run: str | Path | None = None) -> LoadedRun:
     """
     directory = find_run(run)
     settings = load_settings(directory)
-    return LoadedRun(directory, settings, settings.setup())
+    return LoadedRun(directory, settings, setup_of(directory, settings))
 
 
 def load_policy(run: str | Path | None = None) -> TensorDictModuleBase:

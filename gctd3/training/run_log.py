@@ -15,7 +15,7 @@ from torchrl.record.loggers import Logger, get_logger
 from torchrl.record.loggers.mlflow import MLFlowLogger
 
 from gctd3.errors import ConfigError, RunError
-from gctd3.files import write_text
+from gctd3.files import shown, write_text
 from gctd3.training.checkpoint import FOLDER
 from gctd3.training.stop_when import COLUMNS
 from gctd3.viz.film import gif, write_animation
@@ -170,5 +170,6 @@ def refuse_a_run(directory: Path) -> None:
     """Raise a :class:`.RunError` if a training has written to ``directory``."""
     if (directory / PROGRESS).exists() or (directory / FOLDER).exists():
         raise RunError(
-            f"{directory} holds a run already: choose another hydra.run.dir, or continue it with resume={directory}."
+            f"{directory} holds a run already: choose another hydra.run.dir, or continue it with "
+            f"{shown(f'resume={directory}')}."
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hydra import compose
 from hydra.errors import MissingConfigException
@@ -17,6 +17,7 @@ import gctd3
 from gctd3.compat import stored_mapping
 from gctd3.config.build import MODULES, build
 from gctd3.config.command_line import chooses, ships
+from gctd3.config.paths import escaped
 from gctd3.errors import ConfigError, RunError
 from gctd3.files import write_text
 
@@ -67,12 +68,22 @@ def load_config(run: str | Path) -> DictConfig:
     if not file.is_file():
         raise RunError(f"{directory} is not a run: it has no {CONFIG}. gctd3.train makes runs.")
     try:
-        config = OmegaConf.load(file)
-    except (OmegaConfBaseException, YAMLError, UnicodeDecodeError, OSError) as error:
+        # A run is data, perhaps somebody else's: what looks like an interpolation is a text.
+        config = OmegaConf.create(_texts(OmegaConf.to_container(OmegaConf.load(file), resolve=False)))
+    except (OmegaConfBaseException, YAMLError, UnicodeDecodeError, OSError, ValueError) as error:
         raise _unusable(file, error) from error
     if not isinstance(config, DictConfig):
         raise RunError(f"{file} does not hold a mapping.")
     return config
+
+
+def _texts(value: Any) -> Any:  # noqa: ANN401 - any nesting
+    """Return a configuration of which OmegaConf resolves nothing."""
+    if isinstance(value, dict):
+        return {key: _texts(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_texts(item) for item in value]
+    return escaped(value) if isinstance(value, str) else value
 
 
 def load_settings(run: str | Path) -> TrainSettings:
@@ -192,7 +203,7 @@ def command_line(run: Path) -> list[str]:
         items = OmegaConf.load(run / OVERRIDES)
         if not isinstance(items, ListConfig):
             raise TypeError("it does not hold a list")
-        return [str(item) for item in items]
+        return [str(item) for item in OmegaConf.to_container(items, resolve=False) or ()]
     except (OSError, YAMLError, OmegaConfBaseException, UnicodeDecodeError, TypeError) as error:
         raise _unusable(run / OVERRIDES, error) from error
 

@@ -13,11 +13,14 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from gctd3.config.build import again, build, packages
+from gctd3.config.paths import escaped
 from gctd3.errors import RunError
-from gctd3.files import remove_empty
+from gctd3.files import remove_empty, shown
+from gctd3.robots.own_copy import has_robot, keep_robot
 from gctd3.signals import StopRequest
 from gctd3.training.run_lock import only_one
 from gctd3.training.saved_configuration import CONFIG, changed, save_config
+from gctd3.training.saved_robot import setup_of
 from gctd3.training.sweep import share_cores, stop_file
 
 LOG = "log.txt"  # output of runs side by side
@@ -55,9 +58,12 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
         config, overrides = changed(run, "config", overrides)
     if stop.file is not None:
         share_cores(config)
+    if config.init is not None:
+        # The run goes on in any directory.
+        config.init = escaped(str(Path(config.init).absolute()))
     settings = build(config, trusted=not resumed, besides=own)
     settings.check_here()
-    setup = settings.setup()
+    setup = setup_of(run, settings) if resumed else settings.setup()
     # Before anything is written: a robot that cannot be mirrored as asked is refused.
     setup.mirrors(settings.replay.mirror)
     # Imported late, so that --help and a wrong setting are answered at once.
@@ -83,12 +89,14 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
             config.robot.source = setup.robot.source.place
         trainer = Trainer(settings, run, {"config": OmegaConf.to_container(config, resolve=True)}, setup)
         if resumed and not trainer.restore():
-            print(f"{run} has no checkpoint yet: it starts from the beginning.")
+            print(f"{shown(run)} has no checkpoint yet: it starts from the beginning.")
+        if not (resumed and has_robot(run)):
+            keep_robot(setup.robot, run)
         save_config(run, config, overrides)
         print(OmegaConf.to_yaml(config))
         if settings.replay.mirror:
             print(setup.mirror_check)
-        print(f"Run directory: {run}\n", flush=True)
+        print(f"Run directory: {shown(run)}\n", flush=True)
         if setup.robot.origin:
             print(f"{setup.robot.origin}\n", flush=True)
         if trainer.finished and sweeping:
@@ -103,7 +111,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
         if not trainer.finished:
             print(f"Continue it:  {again(config, 'train', f'resume={run}')}")
     if stop.file is not None:
-        print(f"{run}: {'stopped' if stop else 'done'}. {_best_text(trainer.best, walks)}", flush=True)
+        print(f"{shown(run)}: {'stopped' if stop else 'done'}. {_best_text(trainer.best, walks)}", flush=True)
     return trainer.best
 
 
@@ -130,7 +138,7 @@ def _output(run: Path, stop: StopRequest) -> Iterator[None]:
     if stop.file is None:
         yield
         return
-    print(f"{run}: begins; its output is in its {LOG}", flush=True)
+    print(f"{shown(run)}: begins; its output is in its {LOG}", flush=True)
     with (
         (run / LOG).open("a", encoding="utf-8", buffering=1) as log,
         contextlib.redirect_stdout(log),

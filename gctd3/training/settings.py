@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from gctd3.algorithms.settings import AlgorithmSettings, ImitationSettings
 from gctd3.data.settings import ExplorationSettings, InlineSettings, ProcessSettings, ReplaySettings
@@ -12,12 +12,15 @@ from gctd3.envs.settings import MOST_ROBOTS, MOST_THREADS, EnvSettings
 from gctd3.envs.simulation import substeps_of
 from gctd3.errors import ConfigError, check_between, check_seed
 from gctd3.nn.settings import NetworkSettings
-from gctd3.robots.settings import RobotSettings
+from gctd3.robots.settings import GivenRobot, RobotSettings
 from gctd3.setup.setup import Setup
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import TaskSettings, check_backend
 from gctd3.training.device import check_device, check_index
 from gctd3.training.stop_when import StopWhen
+
+if TYPE_CHECKING:
+    from gctd3.robots.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -163,14 +166,17 @@ class TrainSettings:
                 f"{drawn * self.env.num_envs} can be drawn, replay.batch_size is {self.replay.batch_size}."
             )
 
-    def setup(self) -> Setup:
+    def setup(self, robot: Robot | None = None) -> Setup:
         """Read the robot, build its graph and its task, and check the settings that depend on them.
+
+        Args:
+            robot: The robot, if it need not be read: the copy of a run.
 
         Raises:
             RobotError: If the robot cannot be used.
             ConfigError: If a setting does not fit it.
         """
-        task = self.task.build(self.robot, self.reward)
+        task = self.task.build(self.robot if robot is None else GivenRobot.of(self.robot, robot), self.reward)
         for key, asked, ability in (("replay.mirror", self.replay.mirror, "mirror"), ("video", self.video, "film")):
             if asked is True and ability not in task.abilities:
                 raise ConfigError(f"{key} must be false for {task.name}, got true: {ability} is for simulated tasks.")

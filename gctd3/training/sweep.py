@@ -13,6 +13,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from gctd3.files import shown
 from gctd3.signals import SIGNALS
 
 STOP = ".stop"  # in the sweep's directory while its runs are to end
@@ -80,7 +81,7 @@ class StopTogether(Callback):
             signal.signal(number, handler)
         self._file.unlink(missing_ok=True)
         if self.signal is not None:
-            print(f"Continue it with the same command and hydra.sweep.dir={config.hydra.sweep.dir}")
+            print(f"Continue it with the same command and {shown(f'hydra.sweep.dir={config.hydra.sweep.dir}')}")
             raise SystemExit(128 + self.signal)
 
     def _heard(self, number: int, frame: FrameType | None) -> None:

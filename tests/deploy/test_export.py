@@ -73,7 +73,7 @@ def test_the_onnx_file_says_what_it_is(exported):
 
 def test_the_contract_says_what_the_robots_file_says(exported, robot):
     said = json.loads(exported.with_suffix(".json").read_text(encoding="utf-8"))
-    assert (said["format"], said["control_rate_hz"], said["history_frames"]) == (2, 50.0, 5)
+    assert (said["format"], said["control_rate_hz"], said["history_frames"]) == (3, 50.0, 5)
     assert (said["history_order"], said["history_warm_up"]) == ("oldest first", "repeat the first frame")
     # Section 2.3 of the paper.
     order = ["body", "hip_right", "hip_left", "knee_right", "knee_left", "ankle_right", "ankle_left", "ground"]
@@ -199,15 +199,17 @@ def test_a_servo_that_is_told_no_joint_angle_is_refused(robot, tmp_path, servo):
         contract_of(Robot.from_mjcf(file))
 
 
-def test_the_robots_hash_covers_what_it_includes(tmp_path):
+def test_the_robots_hash_covers_what_it_includes(robot, tmp_path):
+    text = robot.path.read_text(encoding="utf-8")
+    start, end = text.index("<actuator>"), text.index("</actuator>") + len("</actuator>")
     part, scene = tmp_path / "part.xml", tmp_path / "scene.xml"
-    part.write_bytes(b"<mujoco>\n<worldbody/>\n</mujoco>")
-    scene.write_text('<mujoco><include file="part.xml"/></mujoco>')
-    first = robot_hash(scene)
-    part.write_bytes(b"<mujoco>\r\n<worldbody/>\r\n</mujoco>")
-    assert robot_hash(scene) == first
-    part.write_bytes(b"<mujoco>\n<worldbody />\n</mujoco>")
-    assert robot_hash(scene) != first
+    part.write_text(f"<mujoco>{text[start:end]}</mujoco>")
+    scene.write_text(f'{text[:start]}<include file="part.xml"/>{text[end:]}')
+    # Told in another way it is the same robot; with another gain it is not.
+    assert robot_hash(scene) == robot_hash(robot.path) == robot_hash("biped")
+    scene.write_text(scene.read_text().replace('kp="63"', 'kp="64"').replace('kp="50"', 'kp="51"'))
+    part.write_text(part.read_text().replace("</actuator>", '<general name="more" joint="hip_left"/></actuator>'))
+    assert robot_hash(scene) != robot_hash(robot.path)
     part.unlink()
     with pytest.raises(ContractError, match=r"part\.xml"):
         robot_hash(scene)

@@ -48,6 +48,9 @@ def test_it_is_a_run_without_its_training():
         ".hydra/overrides.yaml",
         f"{inside}/manifest.json",
         f"{inside}/policy.safetensors",
+        "robot/manifest.json",
+        "robot/numbers.npz",
+        "robot/robot.xml",
         "evaluation.json",
     }
     assert sum(path.stat().st_size for path in folder.rglob("*")) < 1_000_000
@@ -113,7 +116,9 @@ def test_shipping_evaluates_and_copies(shipping, tmp_path, monkeypatch):
     ship(shipping, monkeypatch, f"run={run}", f"to={to}", "commit=abcdef0")
     new, old = contents(to), contents(find_run(None))
     assert set(new) == set(old)
-    assert {name for name in new if new[name] != old[name]} == {name for name in new if name.endswith(".json")}
+    assert {name for name in new if new[name] != old[name]} == {
+        name for name in new if name.endswith(".json") and not name.startswith("robot/")
+    }
     assert checked(Checkpoints(to).best())["commit"] == "abcdef0"
     assert json.loads((to / "evaluation.json").read_text())["episodes"] == 2
 
