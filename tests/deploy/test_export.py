@@ -19,9 +19,10 @@ import gctd3
 from gctd3 import KinematicGraph, Robot
 from gctd3.deploy.contract import parse_contract, read_contract, robot_hash
 from gctd3.deploy.export import Deterministic, to_onnx, traced
-from gctd3.deploy.robot_contract import describe, sensed
-from gctd3.errors import ContractError, RobotError
+from gctd3.deploy.robot_contract import Rehearsed, _feature, describe, sensed, warnings_of
+from gctd3.errors import ConfigError, ContractError, RobotError
 from gctd3.nn import Network
+from gctd3.tasks.features import Reading
 from gctd3.tasks.reflection import Reflection
 from gctd3.training.saved_configuration import save_config
 
@@ -73,7 +74,7 @@ def test_the_onnx_file_says_what_it_is(exported):
 
 def test_the_contract_says_what_the_robots_file_says(exported, robot):
     said = json.loads(exported.with_suffix(".json").read_text(encoding="utf-8"))
-    assert (said["format"], said["control_rate_hz"], said["history_frames"]) == (2, 50.0, 5)
+    assert (said["format"], said["control_rate_hz"], said["history_frames"]) == (3, 50.0, 5)
     assert (said["history_order"], said["history_warm_up"]) == ("oldest first", "repeat the first frame")
     # Section 2.3 of the paper.
     order = ["body", "hip_right", "hip_left", "knee_right", "knee_left", "ankle_right", "ankle_left", "ground"]
@@ -141,14 +142,16 @@ def stochastic(graph, reflection):
 def test_any_network_can_be_exported(robot, graph, tmp_path, make):
     policy = make(graph, Reflection.from_robot(robot)).requires_grad_(False).eval()
     file = tmp_path / "policy.onnx"
-    file.write_bytes(to_onnx(traced(Deterministic(policy).eval(), (8, 10)), contract_of(robot).robot)[0])
+    file.write_bytes(to_onnx(traced(Deterministic(policy).eval(), (8, 10)), contract_of(robot))[0])
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         assert difference(file, policy, torch.randn(500, 8, 10)) <= 1e-5
         assert difference(file, policy, torch.randn(1, 8, 10)) <= 1e-5
 
 
 def contract_of(robot):
-    return describe(walking(robot), np.full(int(robot.model.nu), 0.1), "0" * 64, 1, {}, {})
+    task = walking(robot)
+    rehearsed = Rehearsed(np.zeros((1, task.graph.num_nodes, task.features)), np.full(int(robot.model.nu), 0.1))
+    return describe(task, rehearsed, "0" * 64, 1, {}, {})
 
 
 @pytest.mark.parametrize("name", ["biped", "biped_planar", "quadruped", "hexapod"])
@@ -184,7 +187,7 @@ def test_readings_by_name_are_the_tasks_node_features(name):
         for foot in robot.feet:
             truth[f"down_{foot}"] = float(data.sensor(foot).data[0] > 0)
         nodes = task.node_features(task.measure(data.qpos, data.qvel, data.sensordata))
-        mine = [[truth[f.reading] if f.reading else 0.0 for f in node.features] for node in sensed(task)]
+        mine = [[truth[f.reading] if f.reading else 0.0 for f in node.features] for node in sensed(task, nodes[None])]
         np.testing.assert_allclose(mine, nodes, atol=1e-5)
         data.qpos[:] = robot.standing_qpos
 
@@ -250,5 +253,71 @@ def test_contracts_with_a_contradiction_are_refused(robot):
     ):
         with pytest.raises(ContractError, match="control_rate_hz and history_frames are above 0"):
             dataclasses.replace(contract, **wrong)
-    with pytest.raises(ContractError, match="start_rad and centre_rad lie between"):
-        dataclasses.replace(contract, servos=(dataclasses.replace(contract.servos[0], low_rad=1.0),))
+    servo = contract.servos[0]
+    for wrong, said in (
+        ({"centre_rad": 1.0}, "start_rad, centre_rad and home_rad lie between .* centre_rad of 'hip_right' is 1"),
+        ({"home_rad": -1.0}, "home_rad of 'hip_right' is -1, the limits -0.7854 and 0.7854"),
+        ({"low_rad": 1.0}, "low_rad of 'hip_right' is below its high_rad"),
+        # Degrees in place of radians.
+        ({"low_rad": -45.0, "high_rad": 45.0}, "both within 4 pi rad"),
+        ({"scale_rad": 45.0}, "scale_rad .* at most twice the way .* got 45 rad on a way of 1.5708 rad"),
+        ({"scale_rad": 0.0}, "scale_rad of 'hip_right' is above 0"),
+        ({"home_rate_rad_s": 0.0}, "home_rate_rad_s above 0"),
+        ({"kd_nm_s_per_rad": -1.0}, "kd_nm_s_per_rad of 'hip_right' is at least 0"),
+        ({"angle_reading": "angle_knee"}, "'angle_knee' is none of the readings"),
+        ({"actuator": "hip_left"}, "two servos have one actuator, 'hip_left'"),
+        ({"joint": "hip_left"}, "two servos have one joint, 'hip_left'"),
+    ):
+        with pytest.raises(ContractError, match=said):
+            dataclasses.replace(contract, servos=(dataclasses.replace(servo, **wrong), *contract.servos[1:]))
+
+
+def test_the_contract_says_whence_readings_come(exported):
+    """The paper's biped stands on a boom, whose encoders measure height and speed."""
+    features = read_contract(exported.with_suffix(".json")).features
+    assert [(f.reading, f.unit, f.source) for f in features[:4]] == [
+        ("height_m", "m", "boom encoder"),
+        ("velocity_m_s", "m/s", "boom encoder"),
+        ("angle_hip_right_rad", "rad", "joint encoder"),
+        ("velocity_hip_right_rad_s", "rad/s", "joint encoder"),
+    ]
+    assert [(f.unit, f.source, f.low, f.high, f.binary) for f in features[-2:]] == [
+        ("1", "foot contact switch", 0.0, 1.0, True)
+    ] * 2
+    # A quarter of the hip's 1.5708 rad on each side; it never gets to its ends.
+    assert (features[2].low, features[2].high) == pytest.approx((-0.7854 - 0.3927, 0.7854 + 0.3927))
+    assert features[2].margin == pytest.approx(0.3927)
+    # As much again as the speeds of the walk, from standing to 1.2 m/s and more.
+    speed = features[1]
+    assert speed.high - speed.low == pytest.approx(3 * speed.margin) and speed.low < -1.0 and speed.high > 2.4
+
+
+def test_readings_that_only_a_simulator_has_are_named():
+    free = Robot.from_mjcf("quadruped")
+    contract = contract_of(free)
+    sources = {f.reading: f.source for f in contract.features}
+    exact = {"height_m", "velocity_m_s", "yaw_rad", "side_m", "side_rate_m_s"}
+    assert {name for name, source in sources.items() if source == "simulator"} == exact
+    assert sources["roll_rad"] == sources["pitch_rad"] == "IMU orientation"
+    assert sources["yaw_rate_rad_s"] == "IMU gyroscope"
+    (line,) = warnings_of(contract, free)
+    assert line.startswith(
+        "No robot that walks freely measures these readings, only what is in brackets: height_m (sim"
+    )
+    assert all(f"{name} (simulator)" in line for name in exact) and "roll_rad" not in line
+    # The walking task's fall: 0.8 rad.
+    assert (contract.safety.tilt_readings, contract.safety.most_tilt_rad) == (("roll_rad", "pitch_rad"), 0.8)
+
+
+def test_a_count_of_contacts_is_not_binary(robot):
+    counted = Reading("feet_down", "number of feet on the ground", "contact")
+    feature = _feature(robot, "ground", counted, np.array([0.0, 1.0, 2.0]), 0.0, 2.0)
+    assert (feature.binary, feature.low, feature.high, feature.source) == (False, -2.0, 4.0, "not stated")
+
+
+def test_an_unknown_source_is_refused(robot):
+    wrong = Reading("height_m", "height", "length", source="IMU gyroscop")
+    with pytest.raises(
+        ConfigError, match=r"unknown source 'IMU gyroscop'. Did you mean 'IMU gyroscope'\? Sources: joint"
+    ):
+        _feature(robot, "body", wrong, np.zeros(1), 0.0, 0.0)
