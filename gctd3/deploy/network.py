@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gctd3.deploy.contract import Contract
-from gctd3.errors import ContractError, one_line
+from gctd3.errors import ContractError, one_line, shown
 from gctd3.files import checksum
 
 # Metadata of the ONNX file: the robot, and what its input and its output are, so that an edited contract is found.
@@ -100,7 +100,7 @@ def _differences(session: Any, said: Mapping[str, str], file: Path, contract: Co
         yield f"the operator set is {network.opset} in the contract, {opset} in the file"
     for key, expected in metadata(contract).items():
         if said.get(key) != expected:
-            yield f"{key.partition('.')[2]} are {expected} in the contract, {said.get(key)} in the file"
+            yield f"{key.partition('.')[2]}: {_first_difference(expected, said.get(key))}"
     try:
         (action,) = session.run([network.output], {network.input: np.zeros((2, *network.input_shape), np.float32)})
     except Exception as error:  # onnxruntime's errors share no base class
@@ -108,6 +108,20 @@ def _differences(session: Any, said: Mapping[str, str], file: Path, contract: Co
     else:
         if action.shape != (2, len(contract.servos)) or not np.isfinite(action).all():
             yield f"of two states of zeros it makes {action.shape} numbers, or some that are not finite"
+
+
+def _first_difference(expected: str, found: str | None) -> str:
+    """Describe the first difference of two texts, entry by entry if both are lists in JSON."""
+    if found is None:
+        return "the file does not say them"
+    try:
+        pairs = list(zip(json.loads(expected), json.loads(found), strict=True))
+    except (ValueError, TypeError, RecursionError):
+        return f"{shown(expected)} in the contract, {shown(found)} in the file"
+    for place, (one, other) in enumerate(pairs, 1):
+        if one != other:
+            return f"number {place} is {shown(one)} in the contract, {shown(other)} in the file"
+    return "written in another way in the file"
 
 
 def read_opset(model: bytes) -> int | None:

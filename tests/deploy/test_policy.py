@@ -148,7 +148,7 @@ def test_a_desired_angle_changes_no_faster_than_allowed(policy):
     assert policy.limited == 3
 
 
-# Refusals: a message, the last command to hold, and no other change. tests/deploy/test_safe_command.py has what follows.
+# Refusals: a message, the last command to hold, and no other change; test_safe_command.py has what follows.
 
 
 @pytest.mark.parametrize(
