@@ -17,10 +17,13 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import gctd3
 from gctd3 import KinematicGraph, Robot
+from gctd3.config.build import build
+from gctd3.deploy import Policy
 from gctd3.deploy.contract import parse_contract, read_contract, robot_hash
 from gctd3.deploy.export import Deterministic, to_onnx, traced
 from gctd3.deploy.robot_contract import Rehearsed, _feature, describe, sensed, warnings_of
-from gctd3.errors import ConfigError, ContractError, RobotError
+from gctd3.errors import ConfigError, ContractError, ReadingError, RobotError
+from gctd3.files import checksum
 from gctd3.nn import Network
 from gctd3.tasks.features import Reading
 from gctd3.tasks.reflection import Reflection
@@ -190,6 +193,60 @@ def test_readings_by_name_are_the_tasks_node_features(name):
         mine = [[truth[f.reading] if f.reading else 0.0 for f in node.features] for node in sensed(task, nodes[None])]
         np.testing.assert_allclose(mine, nodes, atol=1e-5)
         data.qpos[:] = robot.standing_qpos
+
+
+def named(name):
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        settings = build(compose("config", [f"robot={name}"]).robot)
+    try:
+        return settings.load()
+    except RobotError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.parametrize("name", ["quadruped", pytest.param("go2", marks=pytest.mark.nightly)])
+def test_a_free_robot_by_name_stands_up_and_stops_when_it_tips(name, tmp_path):
+    """An untrained policy: what it reads, its safe command and its stop, in the robot's own simulation."""
+    robot = named(name)
+    task, model, data = walking(robot), robot.model, mujoco.MjData(robot.model)
+    actor = gctd3.make_actor(task.graph, task.features * task.history, model.nu, Network((8,), (16,)))
+    frames = task.node_features(task.measure(robot.standing_qpos, np.zeros(model.nv), data.sensordata))[None]
+    contract = describe(task, Rehearsed(frames, np.full(model.nu, 0.05)), "0" * 64, 1, {}, {})
+    file = tmp_path / "policy.onnx"
+    program = traced(Deterministic(actor.requires_grad_(False).eval()).eval(), contract.network.input_shape)
+    file.write_bytes(to_onnx(program, contract)[0])
+    network = dataclasses.replace(contract.network, sha256=checksum(file), opset=18)
+    contract = dataclasses.replace(contract, network=network)
+    file.with_suffix(".json").write_text(contract.to_json(), encoding="utf-8")
+    policy, features = Policy(file), contract.features
+
+    def sense():
+        nodes = task.node_features(task.measure(data.qpos, data.qvel, data.sensordata))
+        read = {f: nodes[i, k] + f.zero for i, n in enumerate(contract.nodes) for k, f in enumerate(n.features)}
+        return {f.reading: float(read[f]) for f in features}
+
+    # Held 0.15 rad from home at each joint that can be: home is reached at 0.5 rad/s in 0.3 s, 15 periods.
+    data.qpos[:] = robot.start_qpos
+    home = np.array([servo.home_rad for servo in contract.servos])
+    for joint, servo in zip(map(robot.joint, robot.actuated), contract.servos, strict=True):
+        data.qpos[joint.qpos] = min(servo.home_rad + 0.15, servo.high_rad)
+    mujoco.mj_forward(model, data)
+    before = np.array([data.qpos[robot.joint(servo.joint).qpos] for servo in contract.servos])
+    for period in range(1, 17):
+        command = np.array(list(policy.start(sense()).values()))
+        np.testing.assert_allclose(command, before + np.clip(home - before, -0.01 * period, 0.01 * period), atol=1e-6)
+    assert policy.at_home
+    assert policy.step(sense(), 0.0).keys() == {servo.actuator for servo in contract.servos}
+    # On its side.
+    turn = np.zeros(4)
+    mujoco.mju_axisAngle2Quat(turn, np.array([1.0, 0.0, 0.0]), 1.0)
+    data.qpos[robot.base.free.qpos + 3 : robot.base.free.qpos + 7] = turn
+    mujoco.mj_forward(model, data)
+    with pytest.raises(
+        ReadingError, match=r"Stopped: the body was tilted by 1\.000 rad, allowed are 0\.800 rad"
+    ) as error:
+        policy.step(sense(), task.control_dt)
+    assert error.value.command == policy.command
 
 
 @pytest.mark.parametrize("servo", ['<position gear="2"', '<general biastype="affine" gainprm="9" biasprm="0 -8 0"'])
