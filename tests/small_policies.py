@@ -123,3 +123,65 @@ def reseal(text, change):
     content.pop("sha256", None)
     content = change(content) or content
     return json.dumps({**content, "sha256": seal(content)})
+
+
+CPP = """#include "{header}"
+#include <cstdio>
+#include <cstring>
+
+namespace p = gctd3_policy;
+
+// Reads calls from standard input and writes an answer to each: `n` and a state: the network's action; `s`, a time and
+// readings: a step; `b` and readings: a start; `r` or `h`: a reset, at home or not.
+int main() {{
+  char kind[8];
+  p::Policy policy;
+  static float scratch[{scratch}];
+  while (std::scanf("%7s", kind) == 1) {{
+    double time = 0, readings[p::READINGS], command[p::SERVOS];
+    const char* reason = nullptr;
+    if (kind[0] == 'n') {{
+      float nodes[p::NODES * p::FRAMES * p::FEATURES], action[p::SERVOS];
+      for (float& x : nodes)
+        if (std::scanf("%f", &x) != 1) return 1;
+      p::network::run(nodes, action, scratch);
+      for (float x : action) std::printf("%.9g ", static_cast<double>(x));
+      std::printf("\\n");
+      continue;
+    }}
+    if (kind[0] == 'r' || kind[0] == 'h') {{
+      policy.reset(kind[0] == 'h');
+      continue;
+    }}
+    if (kind[0] == 's' && std::scanf("%lf", &time) != 1) return 1;
+    for (double& x : readings)
+      if (std::scanf("%lf", &x) != 1) return 1;
+    reason = kind[0] == 's' ? policy.step(readings, time, command) : policy.start(readings, command);
+    std::printf("%d ", reason ? 1 : 0);
+    for (double x : command) std::printf("%.17g ", x);
+    std::printf("\\n");
+  }}
+  return std::strlen(p::CONTRACT) > 1000 ? 0 : 2;
+}}
+"""
+
+
+def compiled(header, folder, compiler="g++"):
+    """Compile a program around a C++ header with every warning an error; return its path."""
+    import re
+    import subprocess
+
+    scratch = re.search(r"scratch_\[(\d+)\]", header.read_text(encoding="utf-8"))[1]
+    source, program = folder / "main.cpp", folder / "main"
+    source.write_text(CPP.format(header=header, scratch=scratch), encoding="utf-8")
+    flags = ["-std=c++17", "-O2", "-Wall", "-Wextra", "-Werror", "-Wno-unused-variable", "-pedantic"]
+    subprocess.run([compiler, *flags, str(source), "-o", str(program)], check=True)
+    return program
+
+
+def answers(program, calls):
+    """Return the numbers of each line that the program answers to the calls, lines of text."""
+    import subprocess
+
+    done = subprocess.run([str(program)], input="\n".join(calls), capture_output=True, text=True, check=True)
+    return np.array([[float(number) for number in line.split()] for line in done.stdout.splitlines()])

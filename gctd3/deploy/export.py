@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.deploy.contract import Contract
+from gctd3.deploy.cpp_policy import to_cpp
 from gctd3.deploy.network import metadata, open_session
 from gctd3.deploy.robot_contract import Rehearsed, describe, warnings_of
 from gctd3.deploy.settings import ExportSettings
@@ -98,7 +99,7 @@ def export_run(settings: ExportSettings) -> Exported:
         weights=manifest["files"][POLICY],
         frames_trained=int(manifest["frames"]),
         trained_with=manifest["versions"],
-        exported_with=versions(NEEDED if out.suffix == ".onnx" else ()),
+        exported_with=versions(NEEDED if out.suffix != ".pt2" else ()),
         hold=settings.hold,
         home_rate=settings.home_rate,
     )
@@ -106,20 +107,24 @@ def export_run(settings: ExportSettings) -> Exported:
     network, states = Deterministic(policy).eval(), _states(visited)
     with torch.no_grad():
         program = traced(network, states.shape[1:])
-        if out.suffix == ".onnx":
+        if out.suffix == ".pt2":
+            content, act = to_pt2(program, contract.to_json())
+        else:
             content, act = to_onnx(program, contract)
             seal = hashlib.sha256(content).hexdigest()
             contract = replace(contract, network=replace(contract.network, sha256=seal, opset=OPSET))
-        else:
-            content, act = to_pt2(program, contract.to_json())
         difference = float(np.abs(act(states) - network(torch.from_numpy(states)).numpy()).max())
     if not difference <= TOLERANCE:
         raise NumericalError(
             f"The exported network's actions differ from PyTorch's by up to {difference:g}, allowed is {TOLERANCE:g}; "
             "nothing was written."
         )
+    if out.suffix == ".hpp":
+        # Its contract is inside, and names no other file.
+        inside = replace(contract, network=replace(contract.network, sha256=None))
+        content = to_cpp(content, inside).encode()
     write_bytes(out, content)
-    if out.suffix == ".pt2":
+    if out.suffix != ".onnx":
         return Exported((out,), difference, len(states), warned)
     beside = out.with_suffix(".json")
     write_text(beside, contract.to_json())

@@ -19,7 +19,7 @@ class ExportSettings:
     Attributes:
         run: Directory of the run; ``None`` for the walking biped that ships with gctd3.
         out: File to write. ``.onnx``: an ONNX file, and its contract as .json beside it; ``.pt2``: a file of
-            torch.export with the contract inside.
+            torch.export with the contract inside; ``.hpp``: a C++17 header with the contract inside.
         max_rate: Largest rate at which a desired joint angle may change on the robot (rad/s); ``None`` for 1.2 times
             the largest change in a control step that the policy asks of each servo in simulation.
         hold: Time for which a robot without good readings holds its last command before it goes to its home pose (s).
@@ -47,10 +47,10 @@ class ExportSettings:
         if self.max_rate is not None and not self.max_rate > 0:
             raise ConfigError(f"max_rate must be above 0 rad/s, or null, got {self.max_rate}.")
         file = Path(self.out)
-        if file.suffix not in (".onnx", ".pt2"):
-            raise ConfigError(f"out must end in .onnx or .pt2, got {self.out!r}.")
+        if file.suffix not in (".onnx", ".pt2", ".hpp"):
+            raise ConfigError(f"out must end in .onnx, .pt2 or .hpp, got {self.out!r}.")
         if not file.absolute().parent.is_dir():
             raise ConfigError(f"out={self.out}: there is no folder {file.absolute().parent}.")
         missing = [package for package in NEEDED if find_spec(package) is None]
-        if missing and file.suffix == ".onnx":
-            raise ConfigError(f"To export to .onnx needs {', '.join(missing)}: pip install 'gctd3[export]'.")
+        if missing and file.suffix != ".pt2":
+            raise ConfigError(f"To export to {file.suffix} needs {', '.join(missing)}: pip install 'gctd3[export]'.")
