@@ -157,7 +157,7 @@ int main() {{
     for (double& x : readings)
       if (std::scanf("%lf", &x) != 1) return 1;
     reason = kind[0] == 's' ? policy.step(readings, time, command) : policy.start(readings, command);
-    std::printf("%d ", reason ? 1 : 0);
+    std::printf("%d %d ", reason ? 1 : 0, policy.at_home() ? 1 : 0);
     for (double x : command) std::printf("%.17g ", x);
     std::printf("\\n");
   }}

@@ -43,6 +43,7 @@ class Policy:
 
     Attributes:
         contract: The contract of the policy; ``contract.readings`` names the readings.
+        at_home: Whether the last call was a :meth:`start` that arrived at the home pose.
         limited: Number of steps in which the change of a desired angle was limited to ``most_change_rad``.
         stopped: Reason for which the policy has stopped until :meth:`reset`; ``None`` if it has not.
 
@@ -79,7 +80,7 @@ class Policy:
                 that pose. By default the command stays, so that it does not jump.
         """
         self._forget()
-        self._starting = False
+        self._starting = self.at_home = False
         self.stopped: str | None = None
         self.limited = 0
         if at_home:
@@ -101,11 +102,6 @@ class Policy:
     def phase(self) -> Phase:
         """Return whose command is in force: ``policy``, or ``hold``, ``to home`` or ``home`` of the safe command."""
         return self._safe.phase
-
-    @property
-    def at_home(self) -> bool:
-        """Return whether every desired angle is that of the home pose: the end of :meth:`start`."""
-        return self._safe.at_home
 
     def start(self, readings: Mapping[str, float]) -> dict[str, float]:
         """Move the robot to its home pose before a walk, one control period a call, until :attr:`at_home`.
@@ -135,6 +131,7 @@ class Policy:
             self._safe.accept(angles)
         self._safe.accept(self._safe.angles)
         self._safe.approach()
+        self.at_home = self._safe.at_home
         return self.command
 
     def step(self, readings: Mapping[str, float], time: float, now: float | None = None) -> dict[str, float]:
@@ -157,7 +154,7 @@ class Policy:
                 time is not a finite number or goes backwards, the body is tilted too far, or the network's output is
                 not finite; its ``command`` is safe to send.
         """
-        self._starting = False
+        self._starting = self.at_home = False
         try:
             when = self._at(time, now)
             stack = self._history(self._readings.frame(self._read(readings)), when)
@@ -246,4 +243,5 @@ class Policy:
 
     def _refuse(self, refusal: RefusalError) -> ReadingError:
         self._safe.advance()
+        self.at_home = False
         return ReadingError(str(refusal), self.command)

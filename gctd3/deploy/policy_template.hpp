@@ -89,7 +89,7 @@ class Policy {
   // put into its home pose meanwhile; by default the command stays, so that it does not jump.
   void reset(bool at_home = false) {
     forget();
-    starting_ = stopped_ = false;
+    starting_ = stopped_ = at_home_ = false;
     if (!at_home) return;
     periods_ = 0;
     for (int i = 0; i < SERVOS; ++i) angles_[i] = HOME[i];
@@ -98,7 +98,7 @@ class Policy {
   // Computes the desired joint angles (rad) of one control step. Returns nullptr; or the reason for which `command` is
   // the safe command. readings: in the order of READING_NAMES. time: of the readings (s), on any steady clock.
   const char* step(const double* readings, double time, double* command) {
-    starting_ = false;
+    starting_ = at_home_ = false;
     const char* reason = advance(readings, time);
     if (reason) refuse();
     write(command);
@@ -110,6 +110,7 @@ class Policy {
     const char* reason = nullptr;
     if (!CAN_START) reason = "This policy does not read the angle of every joint.";
     else reason = check(readings);
+    at_home_ = false;
     if (reason) {
       refuse();
     } else {
@@ -120,17 +121,16 @@ class Policy {
       starting_ = true;
       periods_ = 0;
       approach();
+      at_home_ = true;
+      for (int i = 0; i < SERVOS; ++i)
+        if (angles_[i] != HOME[i]) at_home_ = false;
     }
     write(command);
     return reason;
   }
 
-  // Whether every desired angle is that of the home pose.
-  bool at_home() const {
-    for (int i = 0; i < SERVOS; ++i)
-      if (angles_[i] != HOME[i]) return false;
-    return true;
-  }
+  // Whether the last call was a start() that arrived at the home pose.
+  bool at_home() const { return at_home_; }
 
   // Whether a tilt has stopped the policy until reset().
   bool stopped() const { return stopped_; }
@@ -235,7 +235,8 @@ class Policy {
   double angles_[SERVOS] = {}, time_ = NEVER, frame_time_ = NEVER, late_ = 0.0;
   float history_[FRAMES][NODES * FEATURES] = {}, scratch_[@SCRATCH@] = {};
   int periods_ = 0;
-  bool filled_ = false, late_known_ = false, starting_ = false, stopped_ = false;
+  bool filled_ = false, late_known_ = false, starting_ = false, stopped_ = false,
+       at_home_ = false;
 };
 
 }  // namespace @NAMESPACE@

@@ -60,9 +60,9 @@ def test_held_then_home_at_the_stated_rate_then_there(policy):
     for period in range(1, 60):
         command = refused(policy).command
         assert list(command.values()) == pytest.approx([0.22 - min(period * STEP, 0.02), -0.5 + period * STEP])
-        assert policy.phase == "to home" and not policy.at_home
+        assert policy.phase == "to home"
     assert refused(policy).command == {"servo_hip": 0.2, "servo_knee": -0.2}
-    assert policy.phase == "home" and policy.at_home
+    assert policy.phase == "home"
     for _ in range(5):
         assert refused(policy).command == {"servo_hip": 0.2, "servo_knee": -0.2} == policy.command
 
@@ -154,6 +154,20 @@ def test_start_takes_the_joints_home_from_where_they_are(policy):
     assert policy.start(at) == {"servo_hip": 0.2, "servo_knee": -0.2} and policy.at_home
     # A walk begins with any time.
     policy.step(good(policy), -5.0)
+    assert not policy.at_home
+
+
+def test_a_robot_is_at_home_only_after_a_start_that_arrived(policy):
+    assert not policy.at_home
+    at = good(policy, angle_hip_rad=0.2, angle_knee_rad=-0.2)
+    policy.start(at)
+    assert policy.at_home
+    with pytest.raises(ReadingError):
+        policy.start(None)
+    assert not policy.at_home
+    policy.start(at)
+    policy.reset()
+    assert not policy.at_home
 
 
 def test_start_survives_a_refused_reading(policy):
@@ -249,4 +263,4 @@ def test_home_is_reached_in_the_time_that_the_rate_gives(policy_of, more, hip, k
     periods = HOLD + math.ceil(max(abs(hip - HOME[0]), abs(knee - HOME[1])) / STEP - 1e-9)
     for _ in range(periods + more):
         refused(policy_of)
-    assert policy_of.at_home
+    assert list(policy_of.command.values()) == list(HOME)
