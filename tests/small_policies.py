@@ -1,5 +1,6 @@
 """Exported policies made by hand: a free robot with two joints, and a network of one layer written with onnx.helper."""
 
+import dataclasses
 import hashlib
 import json
 
@@ -70,6 +71,24 @@ def small_contract(**changes):
     return Contract(**{**said, **changes})
 
 
+def following_contract():
+    """Return a contract with what a robot that follows commands reads: gravity's direction, and its own last action."""
+    contract = small_contract()
+    body = Node(
+        "body", (encoder("gravity_up", "1", -1.1, 1.1, "IMU orientation"), encoder("asked", "1", -2, 2, "command"))
+    )
+    joints = [
+        Node(
+            name, (encoder(f"angle_{name}_rad", "rad", -1.5, 1.5), encoder(f"action_{name}", "1", -1, 1, "last action"))
+        )
+        for name in ("knee", "hip")
+    ]
+    safety = dataclasses.replace(
+        contract.safety, tilt_readings=("gravity_up",), tilt="arc cosine of the negative reading"
+    )
+    return small_contract(nodes=(body, contract.nodes[1], *joints, contract.nodes[4]), safety=safety)
+
+
 def small_model(contract, opset=18, batch="batch", kind=None, names=("nodes", "action"), shape=(5, 4), bias=0.0):
     """Serialise tanh(flattened nodes * weights + bias) as an ONNX file."""
     import onnx
@@ -104,8 +123,6 @@ def small_model(contract, opset=18, batch="batch", kind=None, names=("nodes", "a
 
 def write_policy(folder, contract=None, model=None):
     """Write a policy and its contract, which fits the file's checksum whatever else it says; return its path."""
-    import dataclasses
-
     contract = contract or small_contract()
     content = small_model(contract) if model is None else model
     network = dataclasses.replace(contract.network, sha256=hashlib.sha256(content).hexdigest())

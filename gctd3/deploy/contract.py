@@ -19,7 +19,7 @@ from typing import Any, Literal
 from xml.etree import ElementTree
 
 import gctd3
-from gctd3.deploy.contract_checks import contradictions
+from gctd3.deploy.contract_checks import LAST_ACTION, contradictions
 from gctd3.deploy.contract_parts import Feature, NetworkFile, Node, RobotIdentity, Safety, Servo
 from gctd3.errors import ContractError, one_line, shown
 from gctd3.files import seal
@@ -84,13 +84,25 @@ class Contract:
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """Return the features that have a reading, in the order of the nodes."""
-        return tuple(f for node in self.nodes for f in node.features if f.reading is not None)
+        """Return the features whose reading the robot gives, in the order of the nodes."""
+        given = (f for node in self.nodes for f in node.features if f.reading is not None)
+        return tuple(feature for feature in given if feature.source != LAST_ACTION)
 
     @property
     def readings(self) -> tuple[str, ...]:
-        """Return the names of all readings, in the order of the nodes."""
+        """Return the names of the readings that the robot gives, in the order of the nodes."""
         return tuple(str(feature.reading) for feature in self.features)
+
+    @property
+    def own_actions(self) -> tuple[tuple[int, int, int], ...]:
+        """Return node, feature and servo of each feature that is the last action of a servo."""
+        servos = {servo.joint: i for i, servo in enumerate(self.servos)}
+        return tuple(
+            (i, k, servos[node.name])
+            for i, node in enumerate(self.nodes)
+            for k, feature in enumerate(node.features)
+            if feature.source == LAST_ACTION
+        )
 
     def to_json(self) -> str:
         """Return the contract as JSON, with a checksum of its content."""

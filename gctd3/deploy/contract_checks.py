@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 # A desired angle further from 0 is one in degrees.
 MOST_ANGLE = 4.0 * math.pi  # rad
+LAST_ACTION = "last action"  # source of features that the policy itself knows
+BY_ANGLES, BY_GRAVITY = "arc cosine of the product of the cosines", "arc cosine of the negative reading"
 MOST_REPEATS = 10_000  # frames of the history, and periods of holding
 LEAST_RATE, MOST_RATE = 1e-3, 1e6  # Hz
 # Larger numbers are none of a robot's, and infinite in float32 where they are multiplied.
@@ -22,8 +24,11 @@ LARGEST = 1e9
 def contradictions(contract: Contract) -> Iterator[str]:
     """Yield a sentence for each contradiction; a later one may presume that there are no earlier ones."""
     yield from _shapes(contract)
+    joints = {servo.joint for servo in contract.servos}
     for node in contract.nodes:
         for feature in node.features:
+            if feature.source == LAST_ACTION and (node.name not in joints or feature.reading is None):
+                yield f"node {node.name!r} has a last action, and no servo drives it"
             yield from _feature(node.name, feature)
     for servo in contract.servos:
         yield from _servo(servo)
@@ -105,6 +110,8 @@ def _safety(contract: Contract) -> Iterator[str]:
         yield f"safety.hold_periods is at least 0 and at most {MOST_REPEATS}"
     if safety.most_tilt_rad is not None and not (0 < safety.most_tilt_rad < math.pi and safety.tilt_readings):
         yield "safety.most_tilt_rad is between 0 and pi, and has tilt_readings"
+    if safety.tilt == BY_GRAVITY and len(safety.tilt_readings) > 1:
+        yield "safety.tilt needs one of tilt_readings"
     angles = [servo.angle_reading for servo in contract.servos if servo.angle_reading is not None]
     for name in (*safety.tilt_readings, *angles):
         if name not in readings:

@@ -13,7 +13,8 @@ class Feature:
     """Describe one feature of a node.
 
     Attributes:
-        reading: Name of the reading that gives its value; ``None`` if it is always 0.
+        reading: Name of the reading that gives its value; ``None`` if it is always 0. With the source ``last action``
+            it is the last action of the servo whose joint is the node, 0 at first, which the policy itself knows.
         meaning: Meaning of the reading.
         unit: Unit of the reading and of the three limits; ``1`` for a number without one.
         source: Sensor that gives the reading on a real robot, see :mod:`gctd3.tasks.sensors`.
@@ -133,7 +134,8 @@ class Safety:
         then: Command after these periods; the servos keep their gains, so that ``kd`` damps.
         after_missed_frames: History after at most ``hold_periods`` missed frames, a late reading's among them; after
             more of them it begins anew with the next frame, as ``history_warm_up`` says.
-        tilt_readings: Readings of the body's roll and pitch (rad).
+        tilt_readings: Readings of the body's roll and pitch (rad), or of the component of gravity's direction along the
+            body's vertical, -1 for an upright body.
         tilt: Angle between the body's vertical and the world's, computed from them.
         most_tilt_rad: Tilt above which the policy stops until it is reset; ``None`` for none.
     """
@@ -142,5 +144,5 @@ class Safety:
     then: Literal["each desired angle goes to home_rad at home_rate_rad_s and stays"]
     after_missed_frames: Literal["repeat the last frame"]
     tilt_readings: tuple[str, ...]
-    tilt: Literal["arc cosine of the product of the cosines"]
+    tilt: Literal["arc cosine of the product of the cosines", "arc cosine of the negative reading"]
     most_tilt_rad: float | None

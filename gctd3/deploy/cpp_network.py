@@ -6,41 +6,16 @@ scratch memory has a fixed size.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
+from gctd3.deploy.cpp_operators import ALIASES, BINARY, MOVES, UNARY, lines
 from gctd3.deploy.network import open_session
 from gctd3.errors import ContractError
-
-# Operators that leave the numbers where they are, that move them, and that compute each from one or from two others.
-ALIASES = ("Reshape", "Flatten", "Squeeze", "Unsqueeze", "Identity", "Dropout")
-MOVES = ("Transpose", "Slice", "Split", "Gather", "Concat", "Expand", "Tile")
-UNARY = {
-    "Relu": "x > 0.0f ? x : 0.0f",
-    "Tanh": "std::tanh(x)",
-    "Sigmoid": "1.0f / (1.0f + std::exp(-x))",
-    "Softplus": "x > 20.0f ? x : std::log1p(std::exp(x))",
-    "Exp": "std::exp(x)",
-    "Log": "std::log(x)",
-    "Sqrt": "std::sqrt(x)",
-    "Abs": "std::fabs(x)",
-    "Neg": "-x",
-    "Reciprocal": "1.0f / x",
-}
-BINARY = {
-    "Add": "a + b",
-    "Sub": "a - b",
-    "Mul": "a * b",
-    "Div": "a / b",
-    "Max": "a > b ? a : b",
-    "Min": "a < b ? a : b",
-    "Pow": "std::pow(a, b)",
-}
-WIDTH = 118  # columns of a line of numbers
 
 
 @dataclass
@@ -172,8 +147,8 @@ class _Translation:
             kind = "float" if real else "int"
             texts = [f"{value!r}f" for value in flat.astype(np.float64)] if real else list(map(str, flat))
             texts = [text.replace("np.float64(", "").replace(")", "") for text in texts]
-            lines = "\n".join(_lines(texts))
-            self.made.constants.append(f"static constexpr {kind} {self.defined[key]}[{flat.size}] = {{\n{lines}}};")
+            rows = "\n".join(lines(texts))
+            self.made.constants.append(f"static constexpr {kind} {self.defined[key]}[{flat.size}] = {{\n{rows}}};")
         return self.defined[key]
 
     # Operators.
@@ -312,14 +287,3 @@ class _Translation:
             raise ContractError(f"out=.hpp: Softmax of {node.name!r} must be over the last axis.")
         y, size = self._new(node.output[0])
         self._say(f"softmax<{size // shape[-1]}, {shape[-1]}>({self._at(node.input[0])}, {y});")
-
-
-def _lines(texts: list[str]) -> Iterator[str]:
-    """Yield lines of numbers with commas."""
-    line = ""
-    for text in texts:
-        if line and len(line) + len(text) + 2 > WIDTH:
-            yield line
-            line = ""
-        line += f"{text}, "
-    yield line

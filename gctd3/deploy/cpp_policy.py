@@ -7,6 +7,7 @@ from importlib.resources import files
 
 import gctd3
 from gctd3.deploy.contract import Contract
+from gctd3.deploy.contract_checks import BY_GRAVITY
 from gctd3.deploy.cpp_network import to_cpp_network
 
 NAMESPACE = "gctd3_policy"
@@ -44,7 +45,8 @@ def _contract(contract: Contract) -> str:
     nodes, servos, safety, features = contract.nodes, contract.servos, contract.safety, contract.features
     width = len(nodes[0].features)
     place = {name: i for i, name in enumerate(contract.readings)}
-    placed = [i * width + k for i, node in enumerate(nodes) for k, f in enumerate(node.features) if f.reading]
+    placed = [i * width + k for i, n in enumerate(nodes) for k, f in enumerate(n.features) if f.reading in place]
+    own = contract.own_actions
     angles = [place.get(str(servo.angle_reading), 0) for servo in servos]
     tilts = [place[name] for name in safety.tilt_readings]
     lines = [
@@ -63,6 +65,10 @@ def _contract(contract: Contract) -> str:
         _array("int", "PLACE", map(str, placed)),
         # An array of no numbers is not allowed.
         _array("int", "TILT", map(str, tilts or [0])),
+        f"constexpr bool BY_GRAVITY = {_bool(safety.tilt == BY_GRAVITY)};",
+        f"constexpr int OWN = {len(own)};  // features that are a servo's last action",
+        _array("int", "OWN_PLACE", [str(i * width + k) for i, k, _ in own] or ["0"]),
+        _array("int", "OWN_SERVO", [str(servo) for _, _, servo in own] or ["0"]),
         _array("const char*", "SERVO_NAMES", (_text(servo.actuator) for servo in servos)),
         _array("int", "ANGLE", map(str, angles)),
         *(

@@ -89,6 +89,7 @@ class Policy:
     def _forget(self) -> None:
         """Forget the history and the clock."""
         self._frames: np.ndarray | None = None
+        self._action = np.zeros(len(self.contract.servos), dtype=np.float32)
         self._time = self._frame_time = -math.inf
         self._late: float | None = None
 
@@ -157,7 +158,7 @@ class Policy:
         self._starting = self.at_home = False
         try:
             when = self._at(time, now)
-            stack = self._history(self._readings.frame(self._read(readings)), when)
+            stack = self._history(self._readings.frame(self._read(readings), self._action), when)
             action = self._run(stack)
         except RefusalError as refusal:
             raise self._refuse(refusal) from None
@@ -165,7 +166,7 @@ class Policy:
         last = self._safe.angles
         allowed = np.clip(desired, last - self._most, last + self._most)
         self.limited += int((allowed != desired).any())
-        self._frames, self._frame_time = stack, when
+        self._frames, self._frame_time, self._action = stack, when, action
         self._safe.accept(allowed)
         return self.command
 

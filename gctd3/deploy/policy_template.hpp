@@ -146,6 +146,7 @@ class Policy {
   void forget() {
     filled_ = late_known_ = false;
     time_ = frame_time_ = NEVER;
+    for (float& x : action_) x = 0.0f;
   }
 
   void write(double* command) const {
@@ -172,7 +173,7 @@ class Policy {
       if (!(readings[i] >= LEAST[i] && readings[i] <= MOST[i])) return "A reading is beyond its limits.";
     }
     double upright = 1.0;
-    for (int i = 0; i < TILTS; ++i) upright *= std::cos(readings[TILT[i]]);
+    for (int i = 0; i < TILTS; ++i) upright *= BY_GRAVITY ? -readings[TILT[i]] : std::cos(readings[TILT[i]]);
     if (MOST_TILT > 0.0 && std::acos(clip(upright, -1.0, 1.0)) > MOST_TILT) {
       stopped_ = true;
       return "Stopped: the body was tilted too far. Call reset() to go on.";
@@ -201,6 +202,7 @@ class Policy {
     if (const char* reason = check(readings)) return reason;
     float frame[NODES * FEATURES] = {};
     for (int i = 0; i < READINGS; ++i) frame[PLACE[i]] = static_cast<float>(readings[i] - ZERO[i]);
+    for (int i = 0; i < OWN; ++i) frame[OWN_PLACE[i]] = action_[OWN_SERVO[i]];
     float history[FRAMES][NODES * FEATURES];
     double missed = (time - frame_time_) / PERIOD - 1.0;
     missed = missed < 0.0 ? 0.0 : missed;
@@ -226,6 +228,7 @@ class Policy {
       angles_[i] = clip(clip(desired, angles_[i] - MOST_CHANGE[i], angles_[i] + MOST_CHANGE[i]), LOW[i], HIGH[i]);
     }
     for (int f = 0; f < FRAMES; ++f) network::copy(history[f], history_[f], NODES * FEATURES);
+    network::copy(action, action_, SERVOS);
     filled_ = true;
     frame_time_ = time;
     periods_ = 0;
@@ -233,7 +236,7 @@ class Policy {
   }
 
   double angles_[SERVOS] = {}, time_ = NEVER, frame_time_ = NEVER, late_ = 0.0;
-  float history_[FRAMES][NODES * FEATURES] = {}, scratch_[@SCRATCH@] = {};
+  float action_[SERVOS] = {}, history_[FRAMES][NODES * FEATURES] = {}, scratch_[@SCRATCH@] = {};
   int periods_ = 0;
   bool filled_ = false, late_known_ = false, starting_ = false, stopped_ = false,
        at_home_ = false;

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from gctd3.deploy.contract import Contract
+from gctd3.deploy.contract_checks import BY_GRAVITY
 from gctd3.errors import shown
 
 
@@ -24,15 +25,17 @@ class Readings:
     """
 
     def __init__(self, contract: Contract) -> None:
-        placed = [(i, k, f) for i, n in enumerate(contract.nodes) for k, f in enumerate(n.features) if f.reading]
-        features = [feature for _, _, feature in placed]
-        self._features, self._names, self._known = features, contract.readings, set(contract.readings)
+        features, known = contract.features, set(contract.readings)
+        places = [(i, k) for i, n in enumerate(contract.nodes) for k, f in enumerate(n.features) if f.reading in known]
+        self._features, self._names, self._known = features, contract.readings, known
         self._shape = len(contract.nodes), len(contract.nodes[0].features)
-        self._node, self._feature = np.array([[i, k] for i, k, _ in placed]).T
+        self._node, self._feature = np.array(places).T
         self._low, self._high = np.array([[f.low, f.high] for f in features]).T
         self._binary = np.array([f.binary for f in features])
         self._zero = np.array([f.zero for f in features])
         place = {name: i for i, name in enumerate(self._names)}
+        self._own = np.array(contract.own_actions, dtype=np.int64).reshape(-1, 3).T
+        self._by_gravity = contract.safety.tilt == BY_GRAVITY
         self._tilt = [place[name] for name in contract.safety.tilt_readings]
         self._angles = [place.get(str(servo.angle_reading)) for servo in contract.servos]
 
@@ -75,15 +78,25 @@ class Readings:
                 continue
             raise RefusalError(f"{name} must be {expected}, got {shown(given[name])}.")
 
-    def frame(self, values: np.ndarray) -> np.ndarray:
-        """Return the features of every node in one frame, ``float32 [N, features]``."""
+    def frame(self, values: np.ndarray, action: np.ndarray) -> np.ndarray:
+        """Return the features of every node in one frame, ``float32 [N, features]``.
+
+        Args:
+            values: Values of the readings, shape ``[R]``.
+            action: The last action, shape ``[A]``.
+        """
         frame = np.zeros(self._shape, dtype=np.float32)
         frame[self._node, self._feature] = (values - self._zero).astype(np.float32)
+        node, feature, servo = self._own
+        frame[node, feature] = action[servo]
         return frame
 
     def tilt(self, values: np.ndarray) -> float:
         """Return the angle between the body's vertical and the world's (rad); 0 if nothing measures it."""
-        upright = math.prod(math.cos(values[place]) for place in self._tilt)
+        if self._by_gravity:
+            upright = -float(values[self._tilt[0]]) if self._tilt else 1.0
+        else:
+            upright = math.prod(math.cos(values[place]) for place in self._tilt)
         return math.acos(min(max(upright, -1.0), 1.0))
 
     def joint_angles(self, values: np.ndarray) -> np.ndarray | None:

@@ -22,9 +22,12 @@ from gctd3.tasks.terminations import Fall
 
 # Units by the last part of a reading's name; the longer endings first.
 UNITS = {"_rad_s": "rad/s", "_m_s": "m/s", "_rad": "rad", "_m": "m"}
+GRAVITY_UP = "gravity_up"  # reading of gravity's direction along the body's vertical, -1 for an upright body
 # Limits of a reading: the range of the values seen in simulation, and as much again on each side; of a joint's angle
 # the range of the joint and a quarter of it on each side. Sensors that work never reach them, pushes included.
 ANGLE_MARGIN = 0.25
+# Sources of quantities that have but one.
+BY_QUANTITY: dict[str, Source] = {"command": "command", "action": "last action", "direction": "IMU orientation"}
 # What counts for a range that is smaller, in the unit of the quantity.
 LEAST_RANGE = {"angle": 0.4, "angular velocity": 1.0, "length": 0.1, "velocity": 0.5}
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
@@ -131,7 +134,7 @@ def _feature(robot: Robot, node: str, reading: Reading, values: np.ndarray, leas
             f"The reading {reading.name!r} has the unknown source {reading.source!r}."
             f"{suggest(reading.source, SOURCES)} Sources: {', '.join(SOURCES)}."
         )
-    source: Source = "command" if (reading.quantity, reading.source) == ("command", "not stated") else reading.source
+    source = reading.source if reading.source != "not stated" else BY_QUANTITY.get(reading.quantity, "not stated")
     unit = next((unit for ending, unit in UNITS.items() if reading.name.endswith(ending)), "1")
     # A count of contacts is more than 0 or 1.
     binary = reading.quantity == "contact" and bool(np.isin(values, (0.0, 1.0)).all())
@@ -159,12 +162,14 @@ def _safety(task: SimulatedTask, readings: Collection[str | None], hold: float) 
     """Return the safe command: the tilt that stops is the smallest at which the task ends an episode."""
     tilts = [term.tilt for term in task.terminations.values() if isinstance(term, Fall) and term.tilt is not None]
     names = tuple(name for name in ("roll_rad", "pitch_rad") if name in readings)
+    by_gravity = not names and GRAVITY_UP in readings
+    names = (GRAVITY_UP,) if by_gravity else names
     return Safety(
         hold_periods=round(hold / task.control_dt),
         then="each desired angle goes to home_rad at home_rate_rad_s and stays",
         after_missed_frames="repeat the last frame",
         tilt_readings=names,
-        tilt="arc cosine of the product of the cosines",
+        tilt="arc cosine of the negative reading" if by_gravity else "arc cosine of the product of the cosines",
         most_tilt_rad=min(tilts, default=None) if names else None,
     )
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from running import command
-from small_policies import HOLD, RATE, answers, compiled, small_contract, small_model, write_policy
+from small_policies import HOLD, RATE, answers, compiled, following_contract, small_contract, small_model, write_policy
 
 import gctd3
 from gctd3 import KinematicGraph
@@ -147,17 +147,20 @@ def test_numbers_of_a_header_are_the_files(exported):
 
 
 @needs_compiler
-def test_the_headers_policy_is_pythons_over_good_and_bad_calls(tmp_path):
+@pytest.mark.parametrize("contract_of", [small_contract, pytest.param(following_contract, marks=pytest.mark.nightly)])
+def test_the_headers_policy_is_pythons_over_good_and_bad_calls(tmp_path, contract_of):
     """The same calls to both: the same refusals, the same commands; readings, times, tilts, starts and resets."""
-    file = write_policy(tmp_path)
+    contract = contract_of()
+    file = write_policy(tmp_path, contract)
     header = tmp_path / "policy.hpp"
-    header.write_text(to_cpp(small_model(small_contract()), small_contract()), encoding="utf-8")
+    header.write_text(to_cpp(small_model(contract), contract), encoding="utf-8")
     policy, rng, time = Policy(file), np.random.default_rng(0), 0.0
     calls, expected = [], []
     for _ in range(4000):
         time += rng.choice([1.0] * 20 + [0.0, 0.3, 0.6, 1.4, 2.0, HOLD + 1.0, 50.0]) / RATE
         readings = {f.reading: rng.uniform(0.4 * f.low, 0.4 * f.high) for f in policy.contract.features}
-        readings |= {"roll_rad": rng.uniform(-0.4, 0.4), "pitch_rad": rng.uniform(-0.4, 0.4), "down": rng.integers(2)}
+        upright = {"roll_rad": rng.uniform(-0.4, 0.4), "pitch_rad": rng.uniform(-0.4, 0.4), "gravity_up": -0.9}
+        readings |= {name: value for name, value in upright.items() if name in readings} | {"down": rng.integers(2)}
         if rng.random() < 0.2:
             readings[rng.choice(list(readings))] = rng.choice([np.nan, np.inf, 1e30, 2.0, -4.0])
         when = rng.choice([np.nan, time - 9.0, time + 100.0]) if rng.random() < 0.1 else time
@@ -176,7 +179,7 @@ def test_the_headers_policy_is_pythons_over_good_and_bad_calls(tmp_path):
             expected.append([0, policy.at_home, *given.values()])
         except ReadingError as error:
             expected.append([1, policy.at_home, *error.command.values()])
-    at = dict.fromkeys(policy.contract.readings, 0.0)
+    at = {name: -1.0 if name == "gravity_up" else 0.0 for name in policy.contract.readings}
     policy.reset()
     calls += ["r", *["b " + " ".join(map(str, at.values()))] * 50]
     expected += [[0, policy.at_home, *command.values()] for command in (policy.start(at) for _ in range(50))]

@@ -1,12 +1,23 @@
 """The safe command, by hand: held for three periods, then home at 0.5 rad/s; what starts and what stops a policy."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_policies import HOLD, HOME, HOME_RATE, MOST_CHANGE, RATE, TILT, small_contract, write_policy
+from small_policies import (
+    HOLD,
+    HOME,
+    HOME_RATE,
+    MOST_CHANGE,
+    RATE,
+    TILT,
+    following_contract,
+    small_contract,
+    write_policy,
+)
 
 from gctd3.deploy import Policy
 from gctd3.errors import ContractError, ReadingError
@@ -184,13 +195,39 @@ def test_a_joint_beyond_the_servos_limit_starts_at_the_limit(policy):
 
 
 def test_a_policy_that_does_not_read_its_joints_cannot_be_started(tmp_path):
-    import dataclasses
-
     contract = small_contract()
     servos = tuple(dataclasses.replace(servo, angle_reading=None) for servo in contract.servos)
     policy = Policy(write_policy(tmp_path, small_contract(servos=servos)))
     with pytest.raises(ContractError, match="does not read the angle of every joint"):
         policy.start(good(policy))
+
+
+def test_the_policy_knows_its_last_action_itself(tmp_path):
+    policy = Policy(write_policy(tmp_path, following_contract()))
+    assert policy.contract.readings == ("gravity_up", "asked", "pitch_rad", "angle_knee_rad", "angle_hip_rad", "down")
+    network = policy._session = Fixed(0.25, -0.5)
+    upright = good(policy, gravity_up=-1.0)
+    policy.step(upright, 0.0)
+    refused(policy, None, P)
+    policy.step(upright, 2 * P)
+    # Frames of two features; the nodes' order is knee, hip, the action's hip, knee.
+    assert network.seen[0][0, 2:4].tolist() == [[0, 0, 0, 0]] * 2
+    assert network.seen[1][0, 2:4].tolist() == [[0, 0, 0, -0.5], [0, 0, 0, 0.25]]
+    policy.reset()
+    policy.step(upright, 0.0)
+    assert network.seen[2][0, 2:4].tolist() == [[0, 0, 0, 0]] * 2
+
+
+def test_a_tilt_is_seen_by_gravitys_direction(tmp_path):
+    policy = Policy(write_policy(tmp_path, following_contract()))
+    policy.step(good(policy, gravity_up=-math.cos(0.79)), 0.0)
+    assert "tilted by 0.810 rad" in str(refused(policy, good(policy, gravity_up=-math.cos(0.81)), P))
+
+
+def test_a_last_action_without_a_servo_is_refused():
+    contract = following_contract()
+    with pytest.raises(ContractError, match="node 'knee' has a last action, and no servo drives it"):
+        small_contract(nodes=contract.nodes, servos=contract.servos[:1])
 
 
 # Properties over arbitrary sequences.
