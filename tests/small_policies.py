@@ -37,7 +37,7 @@ def servo(joint, home):
     )
 
 
-def small_contract(**changes):
+def small_contract(frames=2, **changes):
     nodes = (
         Node("body", (encoder("roll_rad", "rad", -4, 4, "IMU orientation"), encoder("roll_rate", "1", -9, 9))),
         Node("pitch", (encoder("pitch_rad", "rad", -4, 4, "IMU orientation"), Feature(None, "nothing"))),
@@ -47,10 +47,10 @@ def small_contract(**changes):
     )
     said = {
         "format": FORMAT,
-        "network": NetworkFile("0" * 64, 18, "nodes", (5, 4), "action", "0" * 64),
+        "network": NetworkFile("0" * 64, 18, "nodes", (5, 2 * frames), "action", "0" * 64),
         "robot": RobotIdentity("small", "1" * 64, 0.5),
         "control_rate_hz": RATE,
-        "history_frames": 2,
+        "history_frames": frames,
         "history_order": "oldest first",
         "history_warm_up": "repeat the first frame",
         "normalisation": "none",
@@ -71,9 +71,9 @@ def small_contract(**changes):
     return Contract(**{**said, **changes})
 
 
-def following_contract():
+def following_contract(frames=4):
     """Return a contract with what a robot that follows commands reads: gravity's direction, and its own last action."""
-    contract = small_contract()
+    contract = small_contract(frames)
     body = Node(
         "body", (encoder("gravity_up", "1", -1.1, 1.1, "IMU orientation"), encoder("asked", "1", -2, 2, "command"))
     )
@@ -86,17 +86,18 @@ def following_contract():
     safety = dataclasses.replace(
         contract.safety, tilt_readings=("gravity_up",), tilt="arc cosine of the negative reading"
     )
-    return small_contract(nodes=(body, contract.nodes[1], *joints, contract.nodes[4]), safety=safety)
+    return small_contract(frames, nodes=(body, contract.nodes[1], *joints, contract.nodes[4]), safety=safety)
 
 
-def small_model(contract, opset=18, batch="batch", kind=None, names=("nodes", "action"), shape=(5, 4), bias=0.0):
+def small_model(contract, opset=18, batch="batch", kind=None, names=("nodes", "action"), shape=None, bias=0.0):
     """Serialise tanh(flattened nodes * weights + bias) as an ONNX file."""
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
     from gctd3.deploy.network import metadata
 
-    kind, width = kind or TensorProto.FLOAT, int(np.prod(shape))
+    kind, shape = kind or TensorProto.FLOAT, shape or contract.network.input_shape
+    width = int(np.prod(shape))
     rng = np.random.default_rng(0)
     dtype = helper.tensor_dtype_to_np_dtype(kind)
     parts = [

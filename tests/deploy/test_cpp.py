@@ -147,7 +147,7 @@ def test_numbers_of_a_header_are_the_files(exported):
 
 
 @needs_compiler
-@pytest.mark.parametrize("contract_of", [small_contract, pytest.param(following_contract, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("contract_of", [pytest.param(small_contract, marks=pytest.mark.nightly), following_contract])
 def test_the_headers_policy_is_pythons_over_good_and_bad_calls(tmp_path, contract_of):
     """The same calls to both: the same refusals, the same commands; readings, times, tilts, starts and resets."""
     contract = contract_of()

@@ -88,6 +88,24 @@ def test_one_refused_reading_costs_one_period(policy):
     assert policy.phase == "policy"
 
 
+def test_missing_frames_are_the_last_one_again(tmp_path):
+    policy = Policy(write_policy(tmp_path, small_contract(frames=4)))
+    network = policy._session = Fixed(0.0, 0.0)
+    for i in range(3):
+        policy.step(good(policy, roll_rate=i + 1.0), i * P)
+    refused(policy, None, 3 * P)
+    policy.step(good(policy, roll_rate=5.0), 4 * P)
+    # Two late periods: the times say so, whatever was called.
+    policy.step(good(policy, roll_rate=8.0), 7 * P)
+    assert [seen[0, 0, 1::2].tolist() for seen in network.seen] == [
+        [1, 1, 1, 1],
+        [1, 1, 1, 2],
+        [1, 1, 2, 3],
+        [2, 3, 3, 5],
+        [5, 5, 5, 8],
+    ]
+
+
 def test_the_period_of_a_refused_reading_may_be_tried_again(policy):
     policy.step(good(policy), 0.0)
     refused(policy, None, P)
@@ -135,6 +153,9 @@ def test_a_wrong_time_does_not_set_the_clock_forward(policy):
     policy.step(good(policy), 0.0)
     refused(policy, good(policy), 1e6)
     policy.step(good(policy), 2 * P)
+    # It is forgotten by then, too: the same one again does not agree with it.
+    refused(policy, good(policy), 1e6 + P)
+    policy.step(good(policy), 4 * P)
 
 
 def test_a_tilt_stops_until_reset(policy):
@@ -203,7 +224,7 @@ def test_a_policy_that_does_not_read_its_joints_cannot_be_started(tmp_path):
 
 
 def test_the_policy_knows_its_last_action_itself(tmp_path):
-    policy = Policy(write_policy(tmp_path, following_contract()))
+    policy = Policy(write_policy(tmp_path, following_contract(frames=2)))
     assert policy.contract.readings == ("gravity_up", "asked", "pitch_rad", "angle_knee_rad", "angle_hip_rad", "down")
     network = policy._session = Fixed(0.25, -0.5)
     upright = good(policy, gravity_up=-1.0)
