@@ -24,7 +24,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import gctd3
 from gctd3.deploy.export import Deterministic, export_run
-from gctd3.deploy.policy import Policy, open_session
+from gctd3.deploy.network import open_session
+from gctd3.deploy.policy import Policy
 from gctd3.deploy.settings import ExportSettings
 
 WARM_UP = 200  # calls of each way that are not counted
@@ -42,9 +43,12 @@ def ways(run: str | None, folder: Path) -> tuple[dict[str, Callable[[int], objec
     states = rng.standard_normal((STATES, 1, *network.input_shape), dtype=np.float32)
     tensors, policy = torch.from_numpy(states), gctd3.load_policy(run)
     plain = Deterministic(policy).eval()
-    features = [f for node in deployed.contract.nodes for f in node.features if f.reading]
+    features = deployed.contract.features
     readings = [
-        {f.reading: float(x > 0) if f.binary else float(x) for f, x in zip(features, row, strict=True)}
+        {
+            f.reading: float(x > 0) if f.binary else float(np.clip(x, f.low, f.high))
+            for f, x in zip(features, row, strict=True)
+        }
         for row in rng.standard_normal((STATES, len(features)))
     ]
     period = 1.0 / deployed.contract.control_rate_hz

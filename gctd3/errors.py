@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import reprlib
 from collections.abc import Iterable, Mapping
 
 
@@ -38,7 +39,8 @@ class ReadingError(GCTD3Error, ValueError):
     """Report that a policy on a robot refuses to act on its sensor readings or its network's output.
 
     Attributes:
-        command: Safe command for the servos instead: the last command, by the name of the actuator (rad).
+        command: Safe command for the servos instead, by the name of the actuator (rad): the last good command for some
+            control periods, then the way to the home pose; see :class:`.Safety`.
     """
 
     def __init__(self, message: str, command: Mapping[str, float]) -> None:
@@ -61,6 +63,16 @@ class PerformanceWarning(UserWarning):
 def one_line(error: Exception) -> str:
     """Return an error's message as one line without a full stop: MuJoCo's have several."""
     return " ".join(str(error).split()).rstrip(".")
+
+
+def shown(value: object) -> str:
+    """Return ``repr(value)``, shortened to a line; the name of the type where there is none."""
+    try:
+        text = reprlib.repr(value) if isinstance(value, (str, bytes, int, list, tuple, dict, set)) else repr(value)
+        text = " ".join(text.split())
+    except Exception:  # whatever the object's own code raises
+        return type(value).__name__
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def suggest(key: object, known: Iterable[str]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 from omegaconf import DictConfig
 
 from gctd3.config.build import build
@@ -14,6 +16,8 @@ def _task(config: DictConfig) -> None:
 
     exported = export_run(build(config))
     print(f"Actions differ from PyTorch's by at most {exported.difference:.1e} over {exported.states:,} states.")
+    for line in exported.warnings:
+        print(f"Warning: {line}", file=sys.stderr)
     print(f"Written to {' and '.join(map(shown, exported.files))}")
 
 

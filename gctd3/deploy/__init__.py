@@ -4,5 +4,6 @@ Light: to run a policy needs NumPy and onnxruntime only.
 """
 
 from gctd3.deploy.policy import Policy
+from gctd3.errors import ContractError, ReadingError
 
-__all__ = ["Policy"]
+__all__ = ["ContractError", "Policy", "ReadingError"]

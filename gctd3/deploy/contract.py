@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
+import sys
 import types
 import typing
 from collections.abc import Mapping
@@ -18,112 +18,27 @@ from pathlib import Path
 from typing import Any, Literal
 
 import gctd3
-from gctd3.errors import ContractError, RobotError, RunError
+from gctd3.deploy.contract_checks import LAST_ACTION, contradictions
+from gctd3.deploy.contract_parts import Feature, NetworkFile, Node, RobotIdentity, Safety, Servo
+from gctd3.errors import ContractError, RobotError, RunError, one_line, shown
 from gctd3.files import MANIFEST, OWN_MJCF, OWN_ROBOT, check_file, read_manifest, seal
 
+__all__ = [
+    "CHECKSUM",
+    "FORMAT",
+    "Contract",
+    "Feature",
+    "NetworkFile",
+    "Node",
+    "RobotIdentity",
+    "Safety",
+    "Servo",
+    "parse_contract",
+    "read_contract",
+    "robot_hash",
+]
 FORMAT = 3
 CHECKSUM = "sha256"  # key of the checksum over the rest of the JSON
-ROBOT, ROBOT_HASH = "gctd3.robot", "gctd3.robot_sha256"  # metadata of the ONNX file
-
-
-@dataclass(frozen=True)
-class Feature:
-    """Describe one feature of a node.
-
-    Attributes:
-        reading: Name of the reading that gives its value; ``None`` if it is always 0.
-        meaning: Meaning of the reading.
-        binary: Whether its value is 0 or 1.
-        zero: Value of the reading at which the feature is 0: the network sees the difference.
-    """
-
-    reading: str | None
-    meaning: str
-    binary: bool = False
-    zero: float = 0.0
-
-
-@dataclass(frozen=True)
-class Node:
-    """Describe a node of the robot's graph.
-
-    Attributes:
-        name: Name of the node.
-        features: Features of the node in one frame, in order.
-    """
-
-    name: str
-    features: tuple[Feature, ...]
-
-
-@dataclass(frozen=True)
-class Servo:
-    """Describe one action: a desired joint angle, and the servo that follows it.
-
-    Attributes:
-        actuator: Name of the actuator.
-        joint: Name of the joint that it drives.
-        low_rad: Smallest desired angle.
-        high_rad: Largest desired angle.
-        centre_rad: Desired angle at an action of 0.
-        scale_rad: Change of the desired angle by an action of 1; it is linear, and stays between the limits.
-        start_rad: Angle of the joint at the start of episodes.
-        most_change_rad: Largest change of the desired angle from one control step to the next.
-        kp_nm_per_rad: Position gain ``kp``; the torque is ``kp (desired - angle) - kd velocity``.
-        kd_nm_s_per_rad: Velocity gain ``kd`` of the same torque.
-        effort_nm: Largest torque; ``None`` for no limit.
-        time_constant_s: Time constant of a first-order filter between desired angle and servo; 0 for none.
-    """
-
-    actuator: str
-    joint: str
-    low_rad: float
-    high_rad: float
-    centre_rad: float
-    scale_rad: float
-    start_rad: float
-    most_change_rad: float
-    kp_nm_per_rad: float
-    kd_nm_s_per_rad: float
-    effort_nm: float | None
-    time_constant_s: float
-
-
-@dataclass(frozen=True)
-class NetworkFile:
-    """Describe the exported network.
-
-    Attributes:
-        sha256: SHA-256 of the ONNX file; ``None`` for a contract inside the file of its network.
-        opset: Version of the ONNX operator set; ``None`` if it is not an ONNX file.
-        input: Name of the input, float32 ``[batch, *input_shape]``.
-        input_shape: Number of nodes, and of a node's features over all frames.
-        output: Name of the output, float32 ``[batch, actions]`` in [-1, 1].
-        weights_sha256: SHA-256 of the ``policy.safetensors`` from which it was exported.
-    """
-
-    sha256: str | None
-    opset: int | None
-    input: str
-    input_shape: tuple[int, ...]
-    output: str
-    weights_sha256: str
-
-
-@dataclass(frozen=True)
-class RobotIdentity:
-    """Identify the robot of a policy.
-
-    Attributes:
-        name: Name of its MJCF file, without the suffix.
-        sha256: Hash of its physics when the policy was trained, see :func:`robot_hash`.
-        standing_height_m: Height of the root body's origin above the ground when the robot stands, where ``height_m``
-            is 0.
-    """
-
-    name: str
-    sha256: str
-    standing_height_m: float
 
 
 @dataclass(frozen=True)
@@ -141,6 +56,7 @@ class Contract:
         normalisation: Normalisation of the readings: ``none``, the network takes them as they are.
         nodes: Nodes in the order of the input.
         servos: Servos in the order of the output.
+        safety: The command without good readings, and what stops the policy.
         frames_trained: Number of frames on which the policy was trained.
         trained_with: Versions of the packages that it was trained with.
         exported_with: Versions of the packages that it was exported with.
@@ -156,35 +72,36 @@ class Contract:
     normalisation: Literal["none"]
     nodes: tuple[Node, ...]
     servos: tuple[Servo, ...]
+    safety: Safety
     frames_trained: int
     trained_with: dict[str, str]
     exported_with: dict[str, str]
 
     def __post_init__(self) -> None:
-        widths = {len(node.features) * self.history_frames for node in self.nodes}
-        shape = (len(self.nodes), *widths)
-        names = self.readings
-        ordered = all(
-            s.low_rad <= angle <= s.high_rad and s.most_change_rad >= 0 and s.scale_rad > 0
-            for s in self.servos
-            for angle in (s.start_rad, s.centre_rad)
-        )
-        for right, contradiction in (
-            (shape == self.network.input_shape, f"nodes and history_frames make {shape}, not network.input_shape"),
-            (len(set(names)) == len(names), "two features have one reading"),
-            (self.control_rate_hz > 0 and self.history_frames > 0, "control_rate_hz and history_frames are above 0"),
-            (
-                bool(self.servos) and ordered,
-                "start_rad and centre_rad lie between low_rad and high_rad; scale_rad > 0; most_change_rad >= 0",
-            ),
-        ):
-            if not right:
-                raise ContractError(f"The contract contradicts itself: {contradiction}.")
+        for contradiction in contradictions(self):
+            raise ContractError(f"The contract contradicts itself: {contradiction}.")
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """Return the features whose reading the robot gives, in the order of the nodes."""
+        given = (f for node in self.nodes for f in node.features if f.reading is not None)
+        return tuple(feature for feature in given if feature.source != LAST_ACTION)
 
     @property
     def readings(self) -> tuple[str, ...]:
-        """Return the names of all readings, in the order of the nodes."""
-        return tuple(f.reading for node in self.nodes for f in node.features if f.reading is not None)
+        """Return the names of the readings that the robot gives, in the order of the nodes."""
+        return tuple(str(feature.reading) for feature in self.features)
+
+    @property
+    def own_actions(self) -> tuple[tuple[int, int, int], ...]:
+        """Return node, feature and servo of each feature that is the last action of a servo."""
+        servos = {servo.joint: i for i, servo in enumerate(self.servos)}
+        return tuple(
+            (i, k, servos[node.name])
+            for i, node in enumerate(self.nodes)
+            for k, feature in enumerate(node.features)
+            if feature.source == LAST_ACTION
+        )
 
     def to_json(self) -> str:
         """Return the contract as JSON, with a checksum of its content."""
@@ -219,15 +136,25 @@ def parse_contract(text: str) -> Contract:
     try:
         content = json.loads(text)
         sealed = content.pop(CHECKSUM)
+        actual = seal(content)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ContractError(f"no contract of a policy, or damaged: {error!r}.") from error
-    if content.get("format") != FORMAT:
         raise ContractError(
-            f"it has format {content.get('format')!r}; gctd3 {gctd3.__version__} reads format {FORMAT}."
+            f"no contract of a policy, or damaged: {one_line(error) or type(error).__name__}."
+        ) from error
+    found = content.get("format")
+    if type(found) is int and 0 < found < FORMAT:
+        raise ContractError(
+            f"it has format {found}, which knows neither limits of readings nor a safe command; gctd3 "
+            f"{gctd3.__version__} reads format {FORMAT}: export the policy again (python -m gctd3.export run=DIR)."
         )
-    if seal(content) != sealed:
+    if type(found) is not int or found != FORMAT:
+        raise ContractError(f"it has format {shown(found)}; gctd3 {gctd3.__version__} reads format {FORMAT}.")
+    if actual != sealed:
         raise ContractError("it is damaged or was edited: its checksum does not fit.")
-    contract: Contract = _read(content, Contract, "the contract")
+    try:
+        contract: Contract = _read(content, Contract, "the contract")
+    except RecursionError as error:
+        raise ContractError("no contract of a policy, or damaged: it is nested too deeply.") from error
     return contract
 
 
@@ -246,12 +173,12 @@ def _read(value: Any, hint: Any, where: str) -> Any:  # noqa: ANN401 - JSON to t
         return tuple(_read(item, inner[0], f"{where}[{i}]") for i, item in enumerate(value))
     if origin is dict and isinstance(value, dict):
         return {str(key): _read(item, inner[1], f"{where}.{key}") for key, item in value.items()}
-    if hint is float and type(value) in (int, float) and math.isfinite(value):
+    if hint is float and type(value) in (int, float) and abs(value) <= sys.float_info.max:
         return float(value)
     if hint in (int, str, bool) and type(value) is hint:
         return value
     expected = hint.__name__ if isinstance(hint, type) else str(hint).removeprefix("typing.")
-    raise ContractError(f"{where} must be {expected}, got {value!r}.")
+    raise ContractError(f"{where} must be {expected}, got {shown(value)}.")
 
 
 def robot_hash(robot: str | Path) -> str:

@@ -19,9 +19,10 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from gctd3.deploy.contract import ROBOT, ROBOT_HASH, RobotIdentity
-from gctd3.deploy.policy import open_session
-from gctd3.deploy.robot_contract import describe
+from gctd3.deploy.contract import Contract
+from gctd3.deploy.cpp_policy import to_cpp
+from gctd3.deploy.network import metadata, open_session
+from gctd3.deploy.robot_contract import Rehearsed, describe, warnings_of
 from gctd3.deploy.settings import ExportSettings
 from gctd3.envs.factory import build_env
 from gctd3.envs.settings import EnvSettings
@@ -70,11 +71,13 @@ class Exported:
         difference: Largest difference of an action from PyTorch's over ``states`` states, half of them visited in the
             simulation, half of them random.
         states: Number of states.
+        warnings: A line for each thing that the robot's software has to do.
     """
 
     files: tuple[Path, ...]
     difference: float
     states: int
+    warnings: tuple[str, ...] = ()
 
 
 def export_run(settings: ExportSettings) -> Exported:
@@ -92,33 +95,40 @@ def export_run(settings: ExportSettings) -> Exported:
         change = np.full_like(change, settings.max_rate * task.control_dt)
     contract = describe(
         task,
-        change,
+        Rehearsed(visited[..., -task.features :], change),
         weights=manifest["files"][POLICY],
         frames_trained=int(manifest["frames"]),
         trained_with=manifest["versions"],
-        exported_with=versions(NEEDED if out.suffix == ".onnx" else ()),
+        exported_with=versions(NEEDED if out.suffix != ".pt2" else ()),
+        hold=settings.hold,
+        home_rate=settings.home_rate,
     )
+    warned = tuple(warnings_of(contract, task.robot))
     network, states = Deterministic(policy).eval(), _states(visited)
     with torch.no_grad():
         program = traced(network, states.shape[1:])
-        if out.suffix == ".onnx":
-            content, act = to_onnx(program, contract.robot)
+        if out.suffix == ".pt2":
+            content, act = to_pt2(program, contract.to_json())
+        else:
+            content, act = to_onnx(program, contract)
             seal = hashlib.sha256(content).hexdigest()
             contract = replace(contract, network=replace(contract.network, sha256=seal, opset=OPSET))
-        else:
-            content, act = to_pt2(program, contract.to_json())
         difference = float(np.abs(act(states) - network(torch.from_numpy(states)).numpy()).max())
     if not difference <= TOLERANCE:
         raise NumericalError(
             f"The exported network's actions differ from PyTorch's by up to {difference:g}, allowed is {TOLERANCE:g}; "
             "nothing was written."
         )
+    if out.suffix == ".hpp":
+        # Its contract is inside, and names no other file.
+        inside = replace(contract, network=replace(contract.network, sha256=None))
+        content = to_cpp(content, inside).encode()
     write_bytes(out, content)
-    if out.suffix == ".pt2":
-        return Exported((out,), difference, len(states))
+    if out.suffix != ".onnx":
+        return Exported((out,), difference, len(states), warned)
     beside = out.with_suffix(".json")
     write_text(beside, contract.to_json())
-    return Exported((out, beside), difference, len(states))
+    return Exported((out, beside), difference, len(states), warned)
 
 
 def rehearse(
@@ -181,7 +191,7 @@ def traced(network: Deterministic, shape: tuple[int, ...]) -> torch.export.Expor
 
 
 @_quiet()
-def to_onnx(program: torch.export.ExportedProgram, robot: RobotIdentity) -> tuple[bytes, Act]:
+def to_onnx(program: torch.export.ExportedProgram, contract: Contract) -> tuple[bytes, Act]:
     """Return the content of an ONNX file, and its network as a function."""
     passes: Any = import_module("onnx_ir.passes.common")
     made = torch.onnx.export(
@@ -196,7 +206,7 @@ def to_onnx(program: torch.export.ExportedProgram, robot: RobotIdentity) -> tupl
     if made is None:
         raise RuntimeError("torch.onnx.export made no program.")
     passes.ClearMetadataAndDocStringPass()(made.model)  # paths of source files on this machine
-    made.model.metadata_props.update({ROBOT: robot.name, ROBOT_HASH: robot.sha256})
+    made.model.metadata_props.update(metadata(contract))
     content = made.model_proto.SerializeToString()
     session = open_session(content)
     return content, lambda states: session.run([ACTION], {NODES: states})[0]

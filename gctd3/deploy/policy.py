@@ -16,23 +16,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gctd3.deploy.contract import ROBOT, ROBOT_HASH, Contract, read_contract, robot_hash
-from gctd3.errors import ContractError, ReadingError
-from gctd3.files import checksum
+from gctd3.deploy.contract import Contract, read_contract, robot_hash
+from gctd3.deploy.network import open_network
+from gctd3.deploy.readings import Readings, RefusalError, number
+from gctd3.deploy.safe_command import Phase, SafeCommand
+from gctd3.errors import ContractError, ReadingError, one_line, shown
 
-# Time from one step to the next, in control periods: below, the readings are old ones; above, some were missed.
-SHORTEST, LONGEST = 0.5, 1.5
-_LARGEST = float(np.finfo(np.float32).max)
+# Least time from one reading to the next, in control periods: readings that come sooner are old ones.
+SHORTEST = 0.5
 
 
 class Policy:
     """Run an exported policy step by step, with the history of its readings.
+
+    :meth:`step`, or :meth:`start` before it, is to be called once a control period, whatever the sensors give; a call
+    without a good reading raises a :class:`.ReadingError` with a safe command.
 
     Args:
         path: The ONNX file; its contract is beside it, with the suffix ``.json``.
@@ -41,11 +44,12 @@ class Policy:
 
     Attributes:
         contract: The contract of the policy; ``contract.readings`` names the readings.
-        command: The last command, which is safe to hold; before the first step, the pose in which the robot starts.
+        at_home: Whether the last call was a :meth:`start` that arrived at the home pose.
         limited: Number of steps in which the change of a desired angle was limited to ``most_change_rad``.
+        stopped: Reason for which the policy has stopped until :meth:`reset`; ``None`` if it has not.
 
     Raises:
-        ContractError: If a file is missing or damaged, contract and network do not belong together, or the policy was
+        ContractError: If a file is missing or damaged, contract and network do not fit each other, or the policy was
             trained for another robot.
         ImportError: If onnxruntime is not installed.
     """
@@ -61,37 +65,84 @@ class Policy:
                 f"{robot} (hash {self.contract.robot.sha256[:12]}, not {found[:12]}). Of a robot that settings "
                 "complete give the copy that its run keeps, RUN/robot."
             )
-        self._session = _open(file, self.contract)
+        self._session = open_network(file, self.contract)
         servos = self.contract.servos
-        self._low, self._high = np.array([[servo.low_rad, servo.high_rad] for servo in servos]).T
         self._centre, self._scale = np.array([[servo.centre_rad, servo.scale_rad] for servo in servos]).T
-        self._start = np.array([servo.start_rad for servo in servos])
+        self._low, self._high = np.array([[servo.low_rad, servo.high_rad] for servo in servos]).T
         self._most = np.array([servo.most_change_rad for servo in servos])
-        features = [(i, k, f) for i, n in enumerate(self.contract.nodes) for k, f in enumerate(n.features) if f.reading]
-        self._names = self.contract.readings
-        self._node, self._feature = np.array([[i, k] for i, k, _ in features]).T
-        self._binary = np.array([f.binary for _, _, f in features])
-        self._zero = np.array([f.zero for _, _, f in features])
-        self.reset()
+        self._period = 1.0 / self.contract.control_rate_hz
+        self._readings = Readings(self.contract)
+        self.reset(at_home=True)
 
-    def reset(self) -> None:
-        """Begin a new walk: clear the history and return to the pose in which the robot starts."""
-        self._frames: np.ndarray | None = None
-        self._time = -math.inf
-        self._desired = self._start.copy()
+    def reset(self, at_home: bool = False) -> None:
+        """Begin anew: forget history, clock and stop. Needed after a stop, and after the clock was set back.
+
+        Args:
+            at_home: Whether the robot has been put into its home pose meanwhile, as simulators do; the command is then
+                that pose. By default the command stays, so that it does not jump.
+        """
+        self._forget()
+        self._starting = self.at_home = False
+        self.stopped: str | None = None
         self.limited = 0
+        if at_home:
+            self._safe = SafeCommand(self.contract)
+
+    def _forget(self) -> None:
+        """Forget the history and the clock."""
+        self._frames: np.ndarray | None = None
+        self._action = np.zeros(len(self.contract.servos), dtype=np.float32)
+        self._time = self._frame_time = -math.inf
+        self._late: float | None = None
 
     @property
     def command(self) -> dict[str, float]:
-        """Return the desired joint angles (rad) by the name of the actuator."""
-        servos = self.contract.servos
-        return {servo.actuator: float(angle) for servo, angle in zip(servos, self._desired, strict=True)}
+        """Return the desired joint angles in force (rad) by the name of the actuator; at first the home pose."""
+        servos, angles = self.contract.servos, self._safe.angles.tolist()
+        return {servo.actuator: angle for servo, angle in zip(servos, angles, strict=True)}
+
+    @property
+    def phase(self) -> Phase:
+        """Return whose command is in force: ``policy``, or ``hold``, ``to home`` or ``home`` of the safe command."""
+        return self._safe.phase
+
+    def start(self, readings: Mapping[str, float]) -> dict[str, float]:
+        """Move the robot to its home pose before a walk, one control period a call, until :attr:`at_home`.
+
+        The first call takes the desired angles from where the joints are; each call moves them by ``home_rate_rad_s``.
+
+        Args:
+            readings: As in :meth:`step`.
+
+        Returns:
+            Desired joint angles by the name of the actuator (rad).
+
+        Raises:
+            ReadingError: As in :meth:`step`.
+            ContractError: If the policy does not read the angle of every joint.
+        """
+        try:
+            values = self._read(readings)
+        except RefusalError as refusal:
+            raise self._refuse(refusal) from None
+        angles = self._readings.joint_angles(values)
+        if angles is None:
+            raise ContractError("This policy does not read the angle of every joint, so it cannot be started from it.")
+        if not self._starting:
+            self._forget()
+            self._starting = True
+            self._safe.accept(angles)
+        self._safe.accept(self._safe.angles)
+        self._safe.approach()
+        self.at_home = self._safe.at_home
+        return self.command
 
     def step(self, readings: Mapping[str, float], time: float, now: float | None = None) -> dict[str, float]:
         """Compute the desired joint angles of one control step from the readings.
 
-        Refused readings leave the state unchanged, so that valid readings may follow in time. Only if steps were missed
-        the history is cleared, and the next readings begin a new one.
+        A refused reading costs its own control period only: good ones may follow in the next. A late reading is used,
+        up to ``safety.hold_periods`` missed periods; a later one is refused. Frames that are missing since the last
+        good reading are filled with it, up to as many; after more of them the history begins anew.
 
         Args:
             readings: Value of each of ``contract.readings``, not normalised: angles in rad, contacts 0 or 1.
@@ -102,123 +153,98 @@ class Policy:
             Desired joint angles by the name of the actuator (rad), within the servos' limits.
 
         Raises:
-            ReadingError: If a reading is missing, unknown, not a finite number or too old, steps were missed, or the
-                network's output is not finite; its ``command`` is the last one.
+            ReadingError: If a reading is missing, unknown, not a finite number, beyond its limits, too old or too late,
+                time is not a finite number or goes backwards, the body is tilted too far, or the network's output is
+                not finite; its ``command`` is safe to send.
         """
-        frame = self._frame(readings)
-        self._check_time(time, now)
-        frames = self.contract.history_frames
-        before = self._frames if self._frames is not None else np.stack([frame] * frames)
-        stack = np.concatenate([before[1:], frame[None]])
-        nodes = stack.transpose(1, 0, 2).reshape(1, *self.contract.network.input_shape)
-        action = self._run(nodes)
-        if not np.isfinite(action).all():
-            raise self._refuse(f"The policy's output is not finite: {action.tolist()}.")
+        self._starting = self.at_home = False
+        try:
+            when = self._at(time, now)
+            stack = self._history(self._readings.frame(self._read(readings), self._action), when)
+            action = self._run(stack)
+        except RefusalError as refusal:
+            raise self._refuse(refusal) from None
         desired = np.clip(self._centre + self._scale * action.astype(np.float64), self._low, self._high)
-        allowed = np.clip(desired, self._desired - self._most, self._desired + self._most)
+        last = self._safe.angles
+        allowed = np.clip(desired, last - self._most, last + self._most)
         self.limited += int((allowed != desired).any())
-        self._frames, self._time, self._desired = stack, time, allowed
+        self._frames, self._frame_time, self._action = stack, when, action
+        self._safe.accept(allowed)
         return self.command
 
-    def _frame(self, readings: Mapping[str, Any]) -> np.ndarray:
-        """Return the features of every node in one frame, shape ``[N, features]``."""
-        given, names = set(readings), set(self._names)
-        if given != names:
-            missing = ", ".join(name for name in self._names if name not in given) or "none"
-            extra = ", ".join(sorted(map(str, given - names))) or "none"
-            raise self._refuse(f"The readings do not fit the contract: missing {missing}; unknown {extra}.")
-        exact = np.array([_number(readings[name]) for name in self._names], dtype=np.float64)
-        # A number beyond float32 becomes infinite, and is refused as such.
-        with np.errstate(over="ignore", invalid="ignore"):
-            values = (exact - self._zero).astype(np.float32)
-        for wrong, expected in (
-            (~np.isfinite(values), "a finite number"),
-            (self._binary & (exact != 0.0) & (exact != 1.0), "0 or 1"),
-        ):
-            if wrong.any():
-                name = self._names[int(wrong.argmax())]
-                raise self._refuse(f"{name} must be {expected}, got {readings[name]!r}.")
-        nodes = self.contract.nodes
-        frame = np.zeros((len(nodes), len(nodes[0].features)), dtype=np.float32)
-        frame[self._node, self._feature] = values
-        return frame
+    def _at(self, time: Any, now: Any) -> float:  # noqa: ANN401 - a sensor driver's output
+        """Return the time of the readings, which becomes that of the clock; refuse one that cannot be true."""
+        when, current = number(time), 0.0 if now is None else number(now)
+        for name, given, value in (("time", time, when), ("now", now, current)):
+            if not math.isfinite(value):
+                raise RefusalError(f"{name} must be a finite number of seconds, got {shown(given)}.")
+        if when < self._time:
+            raise RefusalError(f"The clock went back by {self._time - when:.4f} s. If it was set back, call reset().")
+        period, newer = self._period, when - self._frame_time
+        if newer < SHORTEST * period:
+            raise RefusalError(
+                f"Stale readings: they are {newer:.4f} s newer than those before, expected {period:.4f} s."
+            )
+        age = current - when
+        if now is not None and age < 0:
+            raise RefusalError(f"The readings come from the future: time is {-age:.4f} s after now.")
+        self._check_late(when)
+        # Whatever the readings are, their period has passed.
+        self._time, self._late = when, None
+        if now is not None and age > period:
+            raise RefusalError(f"Stale readings: they are {age:.4f} s old, expected between 0 and {period:.4f} s.")
+        return when
 
-    def _check_time(self, time: float, now: float | None) -> None:
-        period = 1.0 / self.contract.control_rate_hz
-        since = (time - self._time) / period
-        if not math.isfinite(time):
-            raise self._refuse(f"time must be finite, got {time}.")
-        if since < SHORTEST:
-            raise self._refuse(
-                f"Stale readings: they are {since * period:.4f} s newer than those before, expected {period:.4f} s."
-            )
-        if LONGEST < since < math.inf:
-            self._frames, self._time = None, -math.inf
-            raise self._refuse(
-                f"Steps were missed: the readings are {since * period:.4f} s newer than those before, expected "
-                f"{period:.4f} s. The next ones begin a new history."
-            )
-        if now is not None and not 0.0 <= now - time <= period:
-            raise self._refuse(
-                f"Stale readings: they are {now - time:.4f} s old, expected between 0 and {period:.4f} s."
-            )
+    def _check_late(self, when: float) -> None:
+        """Refuse readings after more missed periods than the contract allows, unless the last ones came then, too.
 
-    def _run(self, nodes: np.ndarray) -> np.ndarray:
+        So a single wrong time does not set the clock forward.
+        """
+        hold = self.contract.safety.hold_periods
+        most, since, late = (hold + 1.5) * self._period, when - self._time, self._late
+        if not most < since < math.inf or (late is not None and 0 <= when - late <= most):
+            return
+        self._late = when
+        raise RefusalError(
+            f"Steps were missed: the readings are {since:.4f} s newer than those before, expected {self._period:.4f} "
+            f"s; at most {hold} may be missed. The next ones begin a new history."
+        )
+
+    def _read(self, readings: Any) -> np.ndarray:  # noqa: ANN401
+        """Return the values of the readings, shape ``[R]``; stop if the body is tilted too far."""
+        if self.stopped is not None:
+            raise RefusalError(self.stopped)
+        values, most = self._readings.read(readings), self.contract.safety.most_tilt_rad
+        tilt = self._readings.tilt(values)
+        if most is not None and tilt > most:
+            self.stopped = (
+                f"Stopped: the body was tilted by {tilt:.3f} rad, allowed are {most:.3f} rad. Call reset() to go on."
+            )
+            raise RefusalError(self.stopped)
+        return values
+
+    def _history(self, frame: np.ndarray, when: float) -> np.ndarray:
+        """Return the history with a new frame, shape ``[frames, N, features]``."""
+        frames = self.contract.history_frames
+        missed = max((when - self._frame_time) / self._period - 1.0, 0.0)
+        if self._frames is None or missed >= self.contract.safety.hold_periods + 0.5:
+            return np.stack([frame] * frames)
+        filled = [self._frames, *[self._frames[-1:]] * min(round(missed), frames), frame[None]]
+        return np.concatenate(filled)[-frames:]
+
+    def _run(self, stack: np.ndarray) -> np.ndarray:
+        """Return the action of a history, shape ``[A]``."""
         network = self.contract.network
-        action: np.ndarray = self._session.run([network.output], {network.input: nodes})[0][0]
+        nodes = stack.transpose(1, 0, 2).reshape(1, *network.input_shape)
+        try:
+            action: np.ndarray = self._session.run([network.output], {network.input: nodes})[0][0]
+        except Exception as error:  # onnxruntime's errors share no base class
+            raise RefusalError(f"The network failed: {one_line(error)}.") from error
+        if not np.isfinite(action).all():
+            raise RefusalError(f"The policy's output is not finite: {action.tolist()}.")
         return action
 
-    def _refuse(self, message: str) -> ReadingError:
-        return ReadingError(message, self.command)
-
-
-def _number(value: Any) -> float:  # noqa: ANN401 - a sensor driver's output
-    """Convert a reading to a float; NaN if it is not a number, or too large for float32."""
-    try:
-        number = math.nan if isinstance(value, (str, bytes)) else float(value)
-    except (TypeError, ValueError, OverflowError):
-        return math.nan
-    return number if abs(number) <= _LARGEST else math.nan
-
-
-def open_session(model: Path | bytes) -> Any:  # noqa: ANN401 - onnxruntime is untyped
-    """Create an ``onnxruntime.InferenceSession`` on one CPU thread.
-
-    Raises:
-        ContractError: If the model cannot be read.
-        ImportError: If onnxruntime is not installed.
-    """
-    try:
-        onnxruntime = import_module("onnxruntime")
-    except ImportError as error:
-        raise ImportError("To run an exported policy needs onnxruntime: pip install 'gctd3[deploy]'.") from error
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3  # errors
-    source = model if isinstance(model, bytes) else str(model)
-    try:
-        return onnxruntime.InferenceSession(source, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's errors share no base class
-        what = "The model" if isinstance(model, bytes) else model
-        raise ContractError(f"{what} is no ONNX file that onnxruntime can run: {error}") from error
-
-
-def _open(file: Path, contract: Contract) -> Any:  # noqa: ANN401
-    """Open the network of a contract.
-
-    Raises:
-        ContractError: If the file does not belong to the contract.
-    """
-    session = open_session(file)
-    metadata = session.get_modelmeta().custom_metadata_map
-    if metadata.get(ROBOT_HASH, contract.robot.sha256) != contract.robot.sha256:
-        raise ContractError(
-            f"{file} is of another robot than its contract: of {metadata.get(ROBOT)!r}, the contract of "
-            f"{contract.robot.name!r} ({file.with_suffix('.json')})."
-        )
-    if checksum(file) != contract.network.sha256:
-        raise ContractError(
-            f"{file} and {file.with_suffix('.json')} do not belong together: the checksum in the contract is of "
-            "another file. Export both again, or copy both."
-        )
-    return session
+    def _refuse(self, refusal: RefusalError) -> ReadingError:
+        self._safe.advance()
+        self.at_home = False
+        return ReadingError(str(refusal), self.command)

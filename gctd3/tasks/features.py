@@ -18,6 +18,7 @@ from gctd3.robots.floating_base import EXTRA
 from gctd3.robots.nodes import foot_slots
 from gctd3.robots.robot import Robot
 from gctd3.tasks.measurement import Measurement
+from gctd3.tasks.sensors import Source
 from gctd3.tasks.terms import Remembered, RobotFacts
 
 Quantity = Literal["angle", "angular velocity", "length", "velocity", "contact", "command"]
@@ -35,6 +36,7 @@ class Reading:
         quantity: Measured quantity, which determines the size of the sensor's error.
         sign: +1 if the reading keeps its sign in the mirror, -1 if not.
         zero: Value of the reading at which the feature is 0, in the reading's unit.
+        source: Sensor that gives the reading on a real robot.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Reading:
     quantity: Quantity
     sign: float = 1.0
     zero: float = 0.0
+    source: Source = "not stated"
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,9 @@ class Height(NodeFeature):
 
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> list[list[Reading | None]]:
         """Return the reading of the height."""
-        return [[Reading("height_m", "height of the root body, 0 when the robot stands", "length")]]
+        return [
+            [Reading("height_m", "height of the root body, 0 when the robot stands", "length", source=_exact(robot))]
+        ]
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """Return the height, shape ``[*, 1, 1]``."""
@@ -117,7 +122,7 @@ class Velocity(NodeFeature):
 
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> list[list[Reading | None]]:
         """Return the reading of the velocity."""
-        return [[Reading("velocity_m_s", "forward velocity of the root body", "velocity")]]
+        return [[Reading("velocity_m_s", "forward velocity of the root body", "velocity", source=_exact(robot))]]
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """Return the velocity, shape ``[*, 1, 1]``."""
@@ -131,6 +136,12 @@ COORDINATES = {
     "yaw": ("rad", "yaw of the root body from standing, to the left is positive"),
     "side": ("m", "place of the root body to the left of where it starts"),
 }
+GRAVITY = ("pitch", "roll")  # coordinates that an IMU measures by the direction of gravity
+
+
+def _exact(robot: Robot) -> Source:
+    """Return the source of the root's exact height, place and speed."""
+    return "simulator" if robot.base.free else "boom encoder"
 
 
 @dataclass(frozen=True)
@@ -145,7 +156,9 @@ class BaseCoordinate(NodeFeature):
         for name in robot.base.extra:
             unit, meaning = COORDINATES[name]
             quantity: Quantity = "angle" if unit == "rad" else "length"
-            rows.append([Reading(f"{name}_{unit}", meaning, quantity, EXTRA[name])])
+            source: Source = "IMU orientation" if name in GRAVITY else "simulator"
+            source = source if robot.base.free else "boom encoder"
+            rows.append([Reading(f"{name}_{unit}", meaning, quantity, EXTRA[name], source=source)])
         return rows
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
@@ -166,7 +179,8 @@ class BaseRate(NodeFeature):
             unit, _ = COORDINATES[name]
             meaning = "its rate, as a gyroscope on the body measures it" if unit == "rad" else "its rate"
             quantity: Quantity = "angular velocity" if unit == "rad" else "velocity"
-            rows.append([Reading(f"{name}_rate_{unit}_s", meaning, quantity, EXTRA[name])])
+            source: Source = "IMU gyroscope" if unit == "rad" else _exact(robot)
+            rows.append([Reading(f"{name}_rate_{unit}_s", meaning, quantity, EXTRA[name], source=source)])
         return rows
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
@@ -190,7 +204,16 @@ class JointAngle(NodeFeature):
         """Return the readings of the angles, one a node."""
         home = dict(zip((j.name for j in robot.joints), robot.home_angles, strict=True)) if self.from_home else {}
         return [
-            [Reading(f"angle_{n}_rad", "angle of the joint", "angle", robot.mirror_sign(n), float(home.get(n, 0.0)))]
+            [
+                Reading(
+                    f"angle_{n}_rad",
+                    "angle of the joint",
+                    "angle",
+                    robot.mirror_sign(n),
+                    float(home.get(n, 0.0)),
+                    "joint encoder",
+                )
+            ]
             for n in nodes
         ]
 
@@ -209,7 +232,15 @@ class JointVelocity(NodeFeature):
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> list[list[Reading | None]]:
         """Return the readings of the velocities, one a node."""
         return [
-            [Reading(f"velocity_{n}_rad_s", "velocity of the joint", "angular velocity", robot.mirror_sign(n))]
+            [
+                Reading(
+                    f"velocity_{n}_rad_s",
+                    "velocity of the joint",
+                    "angular velocity",
+                    robot.mirror_sign(n),
+                    source="joint encoder",
+                )
+            ]
             for n in nodes
         ]
 
@@ -229,7 +260,9 @@ class FootContact(NodeFeature):
         """Return the readings of the feet's contacts, two a node; a node of one foot has a number that is always 0."""
         rows: list[list[Reading | None]] = [[None] * self.WIDTH for _ in nodes]
         for foot, (node, place) in zip(robot.feet, foot_slots(robot), strict=True):
-            rows[node][place] = Reading(f"down_{foot}", "1 if this body touches the ground, else 0", "contact")
+            rows[node][place] = Reading(
+                f"down_{foot}", "1 if this body touches the ground, else 0", "contact", source="foot contact switch"
+            )
         return rows
 
     def __call__(self, sensed: Sensed) -> np.ndarray:

@@ -43,6 +43,11 @@ DAMAGE = {
         "damaged or was edited",
     ),
     "a later format": (lambda f: edited(f.with_suffix(".json"), format=4), "has format 4; gctd3 .* reads format 3"),
+    "an earlier format": (
+        lambda f: edited(f.with_suffix(".json"), format=2),
+        "has format 2, which knows neither limits of readings nor a safe command; .* export the policy again",
+    ),
+    "no format": (lambda f: edited(f.with_suffix(".json"), format=True), "has format True; gctd3 .* reads format 3"),
     "an unknown key": (lambda f: edited(f.with_suffix(".json"), colour="red"), "unknown keys: colour"),
     "a wrong type": (
         lambda f: edited(f.with_suffix(".json"), history_frames="5"),

@@ -17,11 +17,15 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import gctd3
 from gctd3 import KinematicGraph, Robot
+from gctd3.config.build import build
+from gctd3.deploy import Policy
 from gctd3.deploy.contract import parse_contract, read_contract, robot_hash
 from gctd3.deploy.export import Deterministic, to_onnx, traced
-from gctd3.deploy.robot_contract import describe, sensed
-from gctd3.errors import ContractError, RobotError
+from gctd3.deploy.robot_contract import Rehearsed, _feature, describe, sensed, warnings_of
+from gctd3.errors import ConfigError, ContractError, ReadingError, RobotError
+from gctd3.files import checksum
 from gctd3.nn import Network
+from gctd3.tasks.features import Reading
 from gctd3.tasks.reflection import Reflection
 from gctd3.training.saved_configuration import save_config
 
@@ -141,14 +145,16 @@ def stochastic(graph, reflection):
 def test_any_network_can_be_exported(robot, graph, tmp_path, make):
     policy = make(graph, Reflection.from_robot(robot)).requires_grad_(False).eval()
     file = tmp_path / "policy.onnx"
-    file.write_bytes(to_onnx(traced(Deterministic(policy).eval(), (8, 10)), contract_of(robot).robot)[0])
+    file.write_bytes(to_onnx(traced(Deterministic(policy).eval(), (8, 10)), contract_of(robot))[0])
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         assert difference(file, policy, torch.randn(500, 8, 10)) <= 1e-5
         assert difference(file, policy, torch.randn(1, 8, 10)) <= 1e-5
 
 
 def contract_of(robot):
-    return describe(walking(robot), np.full(int(robot.model.nu), 0.1), "0" * 64, 1, {}, {})
+    task = walking(robot)
+    rehearsed = Rehearsed(np.zeros((1, task.graph.num_nodes, task.features)), np.full(int(robot.model.nu), 0.1))
+    return describe(task, rehearsed, "0" * 64, 1, {}, {})
 
 
 @pytest.mark.parametrize("name", ["biped", "biped_planar", "quadruped", "hexapod"])
@@ -184,9 +190,63 @@ def test_readings_by_name_are_the_tasks_node_features(name):
         for foot in robot.feet:
             truth[f"down_{foot}"] = float(data.sensor(foot).data[0] > 0)
         nodes = task.node_features(task.measure(data.qpos, data.qvel, data.sensordata))
-        mine = [[truth[f.reading] if f.reading else 0.0 for f in node.features] for node in sensed(task)]
+        mine = [[truth[f.reading] if f.reading else 0.0 for f in node.features] for node in sensed(task, nodes[None])]
         np.testing.assert_allclose(mine, nodes, atol=1e-5)
         data.qpos[:] = robot.standing_qpos
+
+
+def named(name):
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        settings = build(compose("config", [f"robot={name}"]).robot)
+    try:
+        return settings.load()
+    except RobotError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.parametrize("name", ["quadruped", pytest.param("go2", marks=pytest.mark.nightly)])
+def test_a_free_robot_by_name_stands_up_and_stops_when_it_tips(name, tmp_path):
+    """An untrained policy: what it reads, its safe command and its stop, in the robot's own simulation."""
+    robot = named(name)
+    task, model, data = walking(robot), robot.model, mujoco.MjData(robot.model)
+    actor = gctd3.make_actor(task.graph, task.features * task.history, model.nu, Network((8,), (16,)))
+    frames = task.node_features(task.measure(robot.standing_qpos, np.zeros(model.nv), data.sensordata))[None]
+    contract = describe(task, Rehearsed(frames, np.full(model.nu, 0.05)), "0" * 64, 1, {}, {})
+    file = tmp_path / "policy.onnx"
+    program = traced(Deterministic(actor.requires_grad_(False).eval()).eval(), contract.network.input_shape)
+    file.write_bytes(to_onnx(program, contract)[0])
+    network = dataclasses.replace(contract.network, sha256=checksum(file), opset=18)
+    contract = dataclasses.replace(contract, network=network)
+    file.with_suffix(".json").write_text(contract.to_json(), encoding="utf-8")
+    policy, features = Policy(file), contract.features
+
+    def sense():
+        nodes = task.node_features(task.measure(data.qpos, data.qvel, data.sensordata))
+        read = {f: nodes[i, k] + f.zero for i, n in enumerate(contract.nodes) for k, f in enumerate(n.features)}
+        return {f.reading: float(read[f]) for f in features}
+
+    # Held 0.15 rad from home at each joint that can be: home is reached at 0.5 rad/s in 0.3 s, 15 periods.
+    data.qpos[:] = robot.start_qpos
+    home = np.array([servo.home_rad for servo in contract.servos])
+    for joint, servo in zip(map(robot.joint, robot.actuated), contract.servos, strict=True):
+        data.qpos[joint.qpos] = min(servo.home_rad + 0.15, servo.high_rad)
+    mujoco.mj_forward(model, data)
+    before = np.array([data.qpos[robot.joint(servo.joint).qpos] for servo in contract.servos])
+    for period in range(1, 17):
+        command = np.array(list(policy.start(sense()).values()))
+        np.testing.assert_allclose(command, before + np.clip(home - before, -0.01 * period, 0.01 * period), atol=1e-6)
+    assert policy.at_home
+    assert policy.step(sense(), 0.0).keys() == {servo.actuator for servo in contract.servos}
+    # On its side.
+    turn = np.zeros(4)
+    mujoco.mju_axisAngle2Quat(turn, np.array([1.0, 0.0, 0.0]), 1.0)
+    data.qpos[robot.base.free.qpos + 3 : robot.base.free.qpos + 7] = turn
+    mujoco.mj_forward(model, data)
+    with pytest.raises(
+        ReadingError, match=r"Stopped: the body was tilted by 1\.000 rad, allowed are 0\.800 rad"
+    ) as error:
+        policy.step(sense(), task.control_dt)
+    assert error.value.command == policy.command
 
 
 @pytest.mark.parametrize("servo", ['<position gear="2"', '<general biastype="affine" gainprm="9" biasprm="0 -8 0"'])
@@ -252,5 +312,71 @@ def test_contracts_with_a_contradiction_are_refused(robot):
     ):
         with pytest.raises(ContractError, match="control_rate_hz and history_frames are above 0"):
             dataclasses.replace(contract, **wrong)
-    with pytest.raises(ContractError, match="start_rad and centre_rad lie between"):
-        dataclasses.replace(contract, servos=(dataclasses.replace(contract.servos[0], low_rad=1.0),))
+    servo = contract.servos[0]
+    for wrong, said in (
+        ({"centre_rad": 1.0}, "start_rad, centre_rad and home_rad lie between .* centre_rad of 'hip_right' is 1"),
+        ({"home_rad": -1.0}, "home_rad of 'hip_right' is -1, the limits -0.7854 and 0.7854"),
+        ({"low_rad": 1.0}, "low_rad of 'hip_right' is below its high_rad"),
+        # Degrees in place of radians.
+        ({"low_rad": -45.0, "high_rad": 45.0}, "both within 4 pi rad"),
+        ({"scale_rad": 45.0}, "scale_rad .* at most twice the way .* got 45 rad on a way of 1.5708 rad"),
+        ({"scale_rad": 0.0}, "scale_rad of 'hip_right' is above 0"),
+        ({"home_rate_rad_s": 0.0}, "home_rate_rad_s above 0"),
+        ({"kd_nm_s_per_rad": -1.0}, "kd_nm_s_per_rad of 'hip_right' is at least 0"),
+        ({"angle_reading": "angle_knee"}, "'angle_knee' is none of the readings"),
+        ({"actuator": "hip_left"}, "two servos have one actuator, 'hip_left'"),
+        ({"joint": "hip_left"}, "two servos have one joint, 'hip_left'"),
+    ):
+        with pytest.raises(ContractError, match=said):
+            dataclasses.replace(contract, servos=(dataclasses.replace(servo, **wrong), *contract.servos[1:]))
+
+
+def test_the_contract_says_whence_readings_come(exported):
+    """The paper's biped stands on a boom, whose encoders measure height and speed."""
+    features = read_contract(exported.with_suffix(".json")).features
+    assert [(f.reading, f.unit, f.source) for f in features[:4]] == [
+        ("height_m", "m", "boom encoder"),
+        ("velocity_m_s", "m/s", "boom encoder"),
+        ("angle_hip_right_rad", "rad", "joint encoder"),
+        ("velocity_hip_right_rad_s", "rad/s", "joint encoder"),
+    ]
+    assert [(f.unit, f.source, f.low, f.high, f.binary) for f in features[-2:]] == [
+        ("1", "foot contact switch", 0.0, 1.0, True)
+    ] * 2
+    # A quarter of the hip's 1.5708 rad on each side; it never gets to its ends.
+    assert (features[2].low, features[2].high) == pytest.approx((-0.7854 - 0.3927, 0.7854 + 0.3927))
+    assert features[2].margin == pytest.approx(0.3927)
+    # As much again as the speeds of the walk, from standing to 1.2 m/s and more.
+    speed = features[1]
+    assert speed.high - speed.low == pytest.approx(3 * speed.margin) and speed.low < -1.0 and speed.high > 2.4
+
+
+def test_readings_that_only_a_simulator_has_are_named():
+    free = Robot.from_mjcf("quadruped")
+    contract = contract_of(free)
+    sources = {f.reading: f.source for f in contract.features}
+    exact = {"height_m", "velocity_m_s", "yaw_rad", "side_m", "side_rate_m_s"}
+    assert {name for name, source in sources.items() if source == "simulator"} == exact
+    assert sources["roll_rad"] == sources["pitch_rad"] == "IMU orientation"
+    assert sources["yaw_rate_rad_s"] == "IMU gyroscope"
+    (line,) = warnings_of(contract, free)
+    assert line.startswith(
+        "No robot that walks freely measures these readings, only what is in brackets: height_m (sim"
+    )
+    assert all(f"{name} (simulator)" in line for name in exact) and "roll_rad" not in line
+    # The walking task's fall: 0.8 rad.
+    assert (contract.safety.tilt_readings, contract.safety.most_tilt_rad) == (("roll_rad", "pitch_rad"), 0.8)
+
+
+def test_a_count_of_contacts_is_not_binary(robot):
+    counted = Reading("feet_down", "number of feet on the ground", "contact")
+    feature = _feature(robot, "ground", counted, np.array([0.0, 1.0, 2.0]), 0.0, 2.0)
+    assert (feature.binary, feature.low, feature.high, feature.source) == (False, -2.0, 4.0, "not stated")
+
+
+def test_an_unknown_source_is_refused(robot):
+    wrong = Reading("height_m", "height", "length", source="IMU gyroscop")
+    with pytest.raises(
+        ConfigError, match=r"unknown source 'IMU gyroscop'. Did you mean 'IMU gyroscope'\? Sources: joint"
+    ):
+        _feature(robot, "body", wrong, np.zeros(1), 0.0, 0.0)

@@ -120,7 +120,7 @@ def test_history_is_the_environments(robot, task, policy):
 def test_reset_begins_a_new_walk(policy):
     first = policy.step(still(policy), 0.0)
     policy.step(still(policy, velocity_m_s=1.0), PERIOD)
-    policy.reset()
+    policy.reset(at_home=True)
     assert policy.step(still(policy), 0.0) == first
 
 
@@ -148,7 +148,7 @@ def test_a_desired_angle_changes_no_faster_than_allowed(policy):
     assert policy.limited == 3
 
 
-# Refusals: a message, the last command to hold, and no other change.
+# Refusals: a message, the last command to hold, and no other change; test_safe_command.py has what follows.
 
 
 @pytest.mark.parametrize(
@@ -157,10 +157,18 @@ def test_a_desired_angle_changes_no_faster_than_allowed(policy):
         ({"angle_knee_left_rad": None}, "angle_knee_left_rad must be a finite number, got None"),
         ({"angle_knee_left_rad": math.nan}, "angle_knee_left_rad must be a finite number, got nan"),
         ({"velocity_m_s": math.inf}, "velocity_m_s must be a finite number, got inf"),
-        ({"velocity_m_s": 1e300}, "velocity_m_s must be a finite number, got 1e+300"),
+        ({"velocity_m_s": 1e300}, "velocity_m_s must be between -1.5"),
         ({"velocity_m_s": 10**400}, "velocity_m_s must be a finite number, got 1000"),
         ({"height_m": "0.1"}, "height_m must be a finite number, got '0.1'"),
         ({"height_m": [0.1, 0.2]}, "height_m must be a finite number"),
+        ({"height_m": np.zeros(1)}, "height_m must be a finite number"),
+        ({"height_m": np.array([[0.1]])}, "height_m must be a finite number, got array([[0.1]])"),
+        ({"height_m": 0.1 + 0.1j}, "height_m must be a finite number"),
+        ({"height_m": np.complex64(0.1)}, "height_m must be a finite number"),
+        ({"height_m": object()}, "height_m must be a finite number, got <object object"),
+        ({"velocity_m_s": 1e30}, "velocity_m_s must be between -1.5"),
+        ({"angle_knee_left_rad": 57.0}, "angle_knee_left_rad must be between -1.74555 and 0.35055 rad, got 57.0"),
+        ({"down_foot_left": 2}, "down_foot_left must be 0 or 1, got 2"),
         ({"down_foot_left": 0.5}, "down_foot_left must be 0 or 1, got 0.5"),
         ({"pitch_rad": 0.0}, "missing none; unknown pitch_rad"),
         ({"height_m": ..., "down_foot_left": ..., "heigth_m": 0.0}, "missing height_m, down_foot_left; unknown heigth"),
@@ -175,7 +183,7 @@ def test_wrong_readings_are_refused(policy, change, said):
     assert refused.value.command == last == policy.command
     # Valid readings are still accepted.
     follows = policy.step(still(policy), PERIOD)
-    policy.reset()
+    policy.reset(at_home=True)
     policy.step(still(policy), 0.0)
     assert policy.step(still(policy), PERIOD) == follows
 
@@ -184,12 +192,15 @@ def test_wrong_readings_are_refused(policy, change, said):
     ("time", "now", "said"),
     [
         (0.0, None, "Stale readings: they are 0.0000 s newer than those before, expected 0.0200 s"),
-        (-0.02, None, "Stale readings: they are -0.0200 s newer"),
+        (-0.02, None, "The clock went back by 0.0200 s. If it was set back, call reset()"),
         (0.02, 0.05, "Stale readings: they are 0.0300 s old, expected between 0 and 0.0200 s"),
-        (0.02, 0.01, "Stale readings: they are -0.0100 s old"),
-        (math.nan, None, "time must be finite, got nan"),
-        (0.02, math.nan, "Stale readings: they are nan s old"),
-        (0.06, None, "Steps were missed: the readings are 0.0600 s newer than those before, expected 0.0200 s"),
+        (0.02, 0.01, "The readings come from the future: time is 0.0100 s after now"),
+        (math.nan, None, "time must be a finite number of seconds, got nan"),
+        (None, None, "time must be a finite number of seconds, got None"),
+        ("0.02", None, "time must be a finite number of seconds, got '0.02'"),
+        (np.array([0.02]), None, "time must be a finite number of seconds, got array([0.02])"),
+        (0.02, math.nan, "now must be a finite number of seconds, got nan"),
+        (0.15, None, "Steps were missed: the readings are 0.1500 s newer than those before, expected 0.0200 s"),
     ],
 )
 def test_stale_readings_are_refused(policy, time, now, said):
@@ -200,8 +211,8 @@ def test_stale_readings_are_refused(policy, time, now, said):
     assert refused.value.command == last
 
 
-@pytest.mark.parametrize(("periods", "accepted"), [(0.45, False), (0.55, True), (1.45, True), (1.55, False)])
-def test_readings_may_come_half_a_period_early_or_late(policy, periods, accepted):
+@pytest.mark.parametrize(("periods", "accepted"), [(0.45, False), (0.55, True), (6.45, True), (6.55, False)])
+def test_readings_may_come_half_a_period_early_and_five_periods_late(policy, periods, accepted):
     policy.step(still(policy), 0.0)
     if accepted:
         policy.step(still(policy), periods * 0.02)
@@ -215,6 +226,10 @@ def test_after_missed_steps_a_new_history_begins(policy):
     policy.step(still(policy), 0.0)
     with pytest.raises(ReadingError, match="missed"):
         policy.step(still(policy), 1.0)
+    # One wrong time does not set the clock forward; two that agree do.
+    policy.step(still(policy), 0.02)
+    with pytest.raises(ReadingError, match="missed"):
+        policy.step(still(policy), 1.0)
     policy.step(still(policy, height_m=-0.01), 1.02, now=1.03)
     assert (network.seen[-1][0, 0, ::2] == np.float32(-0.01)).all()
 
@@ -225,3 +240,20 @@ def test_an_output_that_is_not_finite_is_refused(policy):
         policy.step(still(policy), 0.0)
     # Before the first command: the pose in which the robot starts.
     assert refused.value.command == dict.fromkeys(policy.command, 0.0)
+
+
+@pytest.mark.parametrize("readings", [None, 3.0, [1.0], "height_m", [("height_m", 0.0)]])
+def test_what_is_no_mapping_is_refused(policy, readings):
+    with pytest.raises(ReadingError, match="must be a mapping from names to numbers, got") as refused:
+        policy.step(readings, 0.0)
+    assert refused.value.command == policy.command
+
+
+def test_a_network_that_fails_is_refused(policy):
+    class Broken:
+        def run(self, names, given):
+            raise RuntimeError("no memory")
+
+    policy._session = Broken()
+    with pytest.raises(ReadingError, match="The network failed: no memory"):
+        policy.step(still(policy), 0.0)

@@ -1,0 +1,123 @@
+"""Sensor readings of one control period: checked against the contract, and put in place as the network's features."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from gctd3.deploy.contract import Contract
+from gctd3.deploy.contract_checks import BY_GRAVITY
+from gctd3.errors import shown
+
+
+class RefusalError(Exception):
+    """Carry the reason for which a reading or a time is refused."""
+
+
+class Readings:
+    """Read the values of the contract's readings.
+
+    Args:
+        contract: Contract of the policy.
+    """
+
+    def __init__(self, contract: Contract) -> None:
+        features, known = contract.features, set(contract.readings)
+        places = [(i, k) for i, n in enumerate(contract.nodes) for k, f in enumerate(n.features) if f.reading in known]
+        self._features, self._names, self._known = features, contract.readings, known
+        self._shape = len(contract.nodes), len(contract.nodes[0].features)
+        self._node, self._feature = np.array(places).T
+        self._low, self._high = np.array([[f.low, f.high] for f in features]).T
+        self._binary = np.array([f.binary for f in features])
+        self._zero = np.array([f.zero for f in features])
+        place = {name: i for i, name in enumerate(self._names)}
+        self._own = np.array(contract.own_actions, dtype=np.int64).reshape(-1, 3).T
+        self._by_gravity = contract.safety.tilt == BY_GRAVITY
+        self._tilt = [place[name] for name in contract.safety.tilt_readings]
+        self._angles = [place.get(str(servo.angle_reading)) for servo in contract.servos]
+
+    def read(self, readings: Any) -> np.ndarray:  # noqa: ANN401 - a sensor driver's output
+        """Return the values in the order of ``contract.readings``, shape ``[R]``, in their units.
+
+        Raises:
+            RefusalError: If a reading is missing, unknown, not a finite number or beyond its limits.
+        """
+        if not isinstance(readings, Mapping):
+            raise RefusalError(f"The readings must be a mapping from names to numbers, got {shown(readings)}.")
+        try:
+            given = dict(readings)
+        except Exception as error:  # whatever the mapping's own code raises
+            raise RefusalError(f"The readings cannot be read: {type(error).__name__}.") from error
+        if given.keys() != self._known:
+            missing = ", ".join(name for name in self._names if name not in given) or "none"
+            extra = shown_names([key for key in given if key not in self._known]) or "none"
+            raise RefusalError(f"The readings do not fit the contract: missing {missing}; unknown {extra}.")
+        values = np.array([number(given[name]) for name in self._names])
+        finite = np.isfinite(values)
+        # Comparisons with NaN are false, so that a value that is none is found as well.
+        if (
+            not ((values >= self._low) & (values <= self._high)).all()
+            or (self._binary & (values != 0.0) & (values != 1.0)).any()
+        ):
+            self._refuse(given, values, finite)
+        return values
+
+    def _refuse(self, given: Mapping[str, Any], values: np.ndarray, finite: np.ndarray) -> None:
+        for feature, value, known in zip(self._features, values, finite, strict=True):
+            name, unit = str(feature.reading), "" if feature.unit == "1" else f" {feature.unit}"
+            if not known:
+                expected = "a finite number"
+            elif feature.binary and value not in (0.0, 1.0):
+                expected = "0 or 1"
+            elif not feature.low <= value <= feature.high:
+                expected = f"between {feature.low:.6g} and {feature.high:.6g}{unit}"
+            else:
+                continue
+            raise RefusalError(f"{name} must be {expected}, got {shown(given[name])}.")
+
+    def frame(self, values: np.ndarray, action: np.ndarray) -> np.ndarray:
+        """Return the features of every node in one frame, ``float32 [N, features]``.
+
+        Args:
+            values: Values of the readings, shape ``[R]``.
+            action: The last action, shape ``[A]``.
+        """
+        frame = np.zeros(self._shape, dtype=np.float32)
+        frame[self._node, self._feature] = (values - self._zero).astype(np.float32)
+        node, feature, servo = self._own
+        frame[node, feature] = action[servo]
+        return frame
+
+    def tilt(self, values: np.ndarray) -> float:
+        """Return the angle between the body's vertical and the world's (rad); 0 if nothing measures it."""
+        if self._by_gravity:
+            upright = -float(values[self._tilt[0]]) if self._tilt else 1.0
+        else:
+            upright = math.prod(math.cos(values[place]) for place in self._tilt)
+        return math.acos(min(max(upright, -1.0), 1.0))
+
+    def joint_angles(self, values: np.ndarray) -> np.ndarray | None:
+        """Return the angle of each servo's joint, shape ``[A]`` (rad); ``None`` if one of them is not read."""
+        places = [place for place in self._angles if place is not None]
+        return values[places] if len(places) == len(self._angles) else None
+
+
+def shown_names(names: list[Any]) -> str:
+    """Return at most five of the names, sorted, as one line."""
+    texts = sorted(name if isinstance(name, str) else shown(name) for name in names)
+    return ", ".join(shown(text)[1:-1] for text in texts[:5]) + (", ..." if len(texts) > 5 else "")
+
+
+def number(value: Any) -> float:  # noqa: ANN401 - a sensor driver's output
+    """Convert a real number to a float; NaN for texts, arrays with dimensions and everything else."""
+    if type(value) is float:
+        return value
+    try:
+        if isinstance(value, (str, bytes)) or np.iscomplexobj(value) or getattr(value, "shape", ()) != ():
+            return math.nan
+        return float(value)
+    except Exception:  # whatever the value's own code raises, a warning that is an error included
+        return math.nan
