@@ -6,6 +6,7 @@ import contextlib
 import json
 import logging
 import math
+import threading
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -71,6 +72,8 @@ class Trainer:
         self.settings, self.directory = settings, directory
         # Its notices of every storage and transform would break into the progress bar.
         torchrl_logger.setLevel(logging.WARNING)
+        # A lock of this process alone: one of many processes would be reported as a leak if a signal ends this one.
+        tqdm.set_lock(threading.RLock())
         if settings.threads is not None:
             torch.set_num_threads(settings.threads)
         # Before the networks, so that their initial weights are the seed's.
