@@ -79,7 +79,7 @@ def enduring_output() -> Iterator[None]:
     What was to be shown is lost; what is being computed is not.
     """
     with (
-        contextlib.redirect_stdout(Enduring(sys.stdout)),  # type: ignore[type-var]
-        contextlib.redirect_stderr(Enduring(sys.stderr)),  # type: ignore[type-var]
+        contextlib.redirect_stdout(Enduring(sys.stdout)),
+        contextlib.redirect_stderr(Enduring(sys.stderr)),
     ):
         yield

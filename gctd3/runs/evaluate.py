@@ -14,6 +14,7 @@ import numpy as np
 from gctd3.envs.factory import build_env
 from gctd3.errors import RunError
 from gctd3.evaluation.episode import LAST_METRES, Episode
+from gctd3.evaluation.quantities import quantity
 from gctd3.evaluation.robustness import Examination
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize, why_missing
@@ -205,7 +206,7 @@ def table(report: dict[str, object]) -> str:
     for key, value in gait.items():
         if key != "episodes":
             text = f"{value:.4g}" if value is not None else why_missing(gait, key) if key in OF_STRIDES else "undefined"
-            lines.append(f"{key.replace('_', ' '):34}{text:>18}")
+            lines.append(f"{quantity(key).title:34}{text:>18}")
     return "\n".join(lines)
 
 

@@ -132,12 +132,19 @@ class Checkpoints:
         # Two only if the one before was about to be dropped.
         return paths[-1]
 
-    def forget_after(self, frames: int) -> None:
-        """Delete checkpoints and policies later than ``frames``, damaged or not: continuing there makes them again."""
-        for path in (*self.directory.glob("step-*"), *self.directory.glob("best-*")):
-            if int(path.name.partition("-")[2]) > frames:
-                remove(path)
+    def forget_after(self, frames: int) -> bool:
+        """Delete checkpoints and policies later than ``frames``, damaged or not: continuing there makes them again.
+
+        Returns:
+            Whether a policy was among them, for which an earlier one had been deleted.
+        """
+        later = [
+            path for path in (*self.directory.glob("step-*"), *self.directory.glob("best-*")) if _of(path) > frames
+        ]
+        for path in later:
+            remove(path)
         self._drop()
+        return any(path.name.startswith("best-") for path in later)
 
     def _manifest(self, frames: int, files: Mapping[str, str], **more: Any) -> dict[str, Any]:  # noqa: ANN401
         return {"format": FORMAT, "frames": frames, "versions": versions(), "files": dict(files), **self.about, **more}
@@ -193,6 +200,12 @@ class Checkpoints:
                 f"{self.directory} has checkpoints of format 1, as gctd3 wrote before format {FORMAT}; "
                 "train again, or use the version that wrote them."
             )
+
+
+def _of(path: Path) -> float:
+    """Return the frames in the name of a checkpoint or policy; infinity for another name."""
+    frames = path.name.partition("-")[2]
+    return int(frames) if frames.isdecimal() else math.inf
 
 
 def checked(path: Path) -> dict[str, Any]:

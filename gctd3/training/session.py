@@ -17,7 +17,7 @@ from gctd3.errors import RunError
 from gctd3.files import refuse_links, remove, remove_empty, remove_leftovers
 from gctd3.signals import StopRequest
 from gctd3.training.run_lock import only_one
-from gctd3.training.saved_configuration import CONFIG, changed, save_config
+from gctd3.training.saved_configuration import CONFIG, changed, changes_of_arithmetic, load_config, save_config
 from gctd3.training.sweep import share_cores, stop_file
 
 LOG = "log.txt"  # output of runs side by side
@@ -51,10 +51,14 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     resumed = resumed or (sweeping and (run / CONFIG).is_file())
     # What the command line itself names is the user's: a sweep that goes on names its terms again.
     own = packages(config)
+    differs: str | None = None
     if resumed:
+        before = load_config(run)
         config, overrides = changed(run, "config", overrides)
     if stop.file is not None:
         share_cores(config)
+    if resumed:
+        differs = changes_of_arithmetic(before, config)
     settings = build(config, trusted=not resumed, besides=own)
     settings.check_here()
     setup = settings.setup()
@@ -91,6 +95,8 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
         print(OmegaConf.to_yaml(config))
         if settings.replay.mirror:
             print(setup.mirror_check)
+        if differs is not None:
+            print(differs)
         print(f"Run directory: {run}\n", flush=True)
         if setup.robot.origin:
             print(f"{setup.robot.origin}\n", flush=True)

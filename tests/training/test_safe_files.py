@@ -297,13 +297,13 @@ def test_files_are_written_in_one_place_only():
     writing = r"\.write_(text|bytes)\(|\bopen\([^)]*[\"'][wax]b?\+?[\"']|O_WRONLY|\bmkstemp\b"
     allowed = {
         # Directories and files that new_directory or new_file has just made.
-        ("files.py", "path.write_text(json.dumps(whole, sort_keys=True, indent=1), encoding=\"utf-8\")"),
+        ("files.py", 'path.write_text(json.dumps(whole, sort_keys=True, indent=1), encoding="utf-8")'),
         ("files.py", "aside.write_bytes(content)"),
         ("files.py", "os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))"),
         ("viz/film.py", "aside.write_bytes(gif(frames, fps))"),
-        ("runs/draw.py", "with new_file(out) as aside, aside.open(\"wb\") as file:"),
+        ("runs/draw.py", 'with new_file(out) as aside, aside.open("wb") as file:'),
         # A run's own log, after refuse_links.
-        ("training/session.py", "(run / LOG).open(\"a\", encoding=\"utf-8\", buffering=1) as log,"),
+        ("training/session.py", '(run / LOG).open("a", encoding="utf-8", buffering=1) as log,'),
     }
     package = Path(gctd3.__file__).parent
     found = set()
