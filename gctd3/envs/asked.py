@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 import mujoco
 from hydra import compose, initialize_config_module
@@ -19,8 +19,9 @@ from gctd3.config.build import build
 from gctd3.config.command_line import explain, options
 from gctd3.config.help import CONF
 from gctd3.errors import ConfigError, check_kind
-from gctd3.robots.command_line import robot_file
+from gctd3.robots.command_line import FREE
 from gctd3.robots.floating_base import Axis
+from gctd3.robots.load import floats
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
 from gctd3.robots.sources import find_place
@@ -30,7 +31,7 @@ from gctd3.tasks.task import Task, TaskSettings, check_backend
 from gctd3.tasks.terms import Termination
 from gctd3.tasks.walk import WalkSettings
 
-AnyRobot = str | Path | RobotSettings | Robot | mujoco.MjModel
+AnyRobot: TypeAlias = "str | Path | RobotSettings | Robot | mujoco.MjModel"
 _ROOT, _KEYS = "config", ("robot", "task", "reward")  # the YAML of gctd3.train, and what is taken from it
 
 
@@ -141,16 +142,20 @@ def _in_memory(robot: object) -> RobotSettings:
 @lru_cache(maxsize=32)
 def _composed(robot: str, overrides: tuple[str, ...]) -> tuple[RobotSettings, TaskSettings, Reward]:
     """Return the settings of robot, task and reward that a command line composes."""
-    if robot not in options("robot"):
-        find_place(robot)  # whose error says what there is
+    chosen = [f"robot={robot}"]
+    if file := robot not in options("robot"):
+        # The path is put in afterwards: it may hold what Hydra's grammar would read as its own.
+        chosen = [f"robot={FREE}"] if floats(find_place(robot).file) else []
+        chosen.append("robot.name=file")
     before = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()
     try:
         with initialize_config_module(CONF, version_base="1.3"):
-            config: DictConfig = compose(_ROOT, [*robot_file([f"robot={robot}"]), *overrides])
+            config: DictConfig = compose(_ROOT, [*chosen, *overrides])
         # Together, so that messages name a key as the command line does.
         settings = build(OmegaConf.masked_copy(config, list(_KEYS)))
-        return tuple(settings[key] for key in _KEYS)
+        about, task, reward = (settings[key] for key in _KEYS)
+        return replace(about, name=robot) if file else about, task, reward
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(explain(error, _ROOT)) from error
     finally:

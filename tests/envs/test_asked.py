@@ -73,8 +73,11 @@ SAME = {
     "history": ({"history": 3}, ["task.history=3"]),
     "terminations": (
         {"terminations": {"fall": Fall(height=-0.2), "stuck_hip": None, "time_limit": TimeLimit(STEPS)}},
-        ["task.terminations.fall.height=-0.2", "task.terminations.stuck_hip=null"]
-        + [f"task.terminations.time_limit.steps={STEPS}"],
+        [
+            "task.terminations.fall.height=-0.2",
+            "task.terminations.stuck_hip=null",
+            f"task.terminations.time_limit.steps={STEPS}",
+        ],
     ),
 }
 
@@ -178,12 +181,12 @@ def test_wrong_arguments_are_named(case):
 
 def test_wrong_arguments_of_environments_are_named():
     with pytest.raises(
-        ConfigError, match="backend must be batched, dm_control, library, got 'dmcontrol'. Did you mean"
+        ConfigError, match=r"backend must be batched, dm_control, library, got 'dmcontrol'\. Did you mean"
     ):
         gctd3.make_env(backend="dmcontrol")
     with pytest.raises(ConfigError, match="max_episode_steps must be at least 1, got 0"):
         gymnasium.make_vec(BIPED, num_envs=1, max_episode_steps=0)
-    with pytest.raises(ConfigError, match="Unknown argument 'feat'. Did you mean 'feet'"):
+    with pytest.raises(ConfigError, match=r"Unknown argument 'feat'\. Did you mean 'feet'"):
         gymnasium.make(BIPED, feat=FEET)
     with pytest.raises(ConfigError, match="control_dt must be left out for a task that is built already"):
         dmc.load(ask_simulated("biped"), control_dt=0.01)
