@@ -106,7 +106,7 @@ def unlike_reflection(task, verdict):
         after = reflected(robot, *stepped(qpos, qvel, action))
         other = stepped(*reflected(robot, qpos, qvel), signs * action[order])
         mass = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, mass, data.qM)
+        mujoco.mj_fullM(model, data, mass)
         difference, motion = after[1] - other[1], other[1] - reflected(robot, qpos, qvel)[1]
         differences += float(difference @ mass @ difference)
         motions += float(motion @ mass @ motion)
