@@ -34,6 +34,7 @@ from gctd3.config.build import build
 from gctd3.config.command_line import CONF
 from gctd3.envs.factory import build_env
 from gctd3.evaluation.rollout import evaluate
+from gctd3.files import write_text
 from gctd3.training.run_log import PROGRESS
 from gctd3.training.settings import TrainSettings
 from gctd3.training.stop_when import COLUMNS
@@ -96,7 +97,7 @@ class Evaluator:
 
     def note(self, recipe: dict[str, object]) -> None:
         """Write down what the peer trains with."""
-        (self.run / RECIPE).write_text(json.dumps(recipe, indent=1) + "\n", encoding="utf-8")
+        write_text(self.run / RECIPE, json.dumps(recipe, indent=1) + "\n")
 
 
 def make_env(settings: TrainSettings) -> gymnasium.Env:

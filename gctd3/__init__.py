@@ -55,6 +55,7 @@ _TARGETS = {
     "Flight": "gctd3.tasks.reward_terms",
     "FootContact": "gctd3.tasks.features",
     "ForwardVelocity": "gctd3.tasks.reward_terms",
+    "GiveUp": "gctd3.training.give_up",
     "GraphSettings": "gctd3.viz.settings",
     "Heading": "gctd3.tasks.reward_terms",
     "GaitClock": "gctd3.tasks.gait_clock",

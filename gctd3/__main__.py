@@ -7,11 +7,13 @@ from importlib import import_module
 from pathlib import Path
 
 from gctd3.config.help import COMMANDS, HELP, asks_for_help, check_installed, fail, help_of, overview
+from gctd3.config.terminal import prepare_output
 from gctd3.errors import suggest
 
 
 def run(command: str) -> None:
     """Run a command with the command line's arguments; ``--help`` works without the packages that the command needs."""
+    prepare_output()
     check_installed()
     if asks_for_help():
         print(help_of(command))
@@ -26,6 +28,7 @@ def script() -> None:
 
 def main() -> None:
     """Run a command or list all, as entry point of ``python -m gctd3`` and of the script ``gctd3``."""
+    prepare_output()
     check_installed()
     command = sys.argv[1] if len(sys.argv) > 1 else HELP[0]
     if command in HELP:

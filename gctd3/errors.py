@@ -48,6 +48,10 @@ class ReadingError(GCTD3Error, ValueError):
         self.command = dict(command)
 
 
+class TrainingError(GCTD3Error, RuntimeError):
+    """Report that a training cannot succeed, and why."""
+
+
 class WorkerError(GCTD3Error, RuntimeError):
     """Report that workers which collect transitions cannot be started or do not keep running."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 from omegaconf import DictConfig
 
 from gctd3.config.build import build
@@ -16,24 +18,36 @@ def _task(config: DictConfig) -> None:
         ROBUSTNESS,
         ROBUSTNESS_PICTURE,
         TRACE,
-        evaluate_run,
         examine_run,
+        measure_run,
         table,
+        where_to_write,
+        write_evaluation,
+        write_robustness,
     )
     from gctd3.runs.settings import EvaluateSettings
 
     settings: EvaluateSettings = build(config)
-    report = evaluate_run(settings)
-    print(table(report))
+    # Before the simulation, which may be long.
+    folder, refused = where_to_write(settings)
+    if refused is not None:
+        print(refused, file=sys.stderr, flush=True)
+    report, motion = measure_run(settings)
+    print(table(report), flush=True)
+    # After the table, so that a disk that is full by now does not cost it.
+    write_evaluation(folder, report, motion)
     written = [EVALUATION, TRACE]
     if settings.robustness:
         gait = report["gait"]
         results = examine_run(settings, gait.get("stride_time") if isinstance(gait, dict) else None)
-        print(f"\n{robustness_table(results)}")
+        print(f"\n{robustness_table(results)}", flush=True)
+        write_robustness(folder, results)
         written += [ROBUSTNESS, ROBUSTNESS_PICTURE]
-    if settings.folder is not None:
-        files = [settings.folder / name for name in written]
+    if folder is not None:
+        files = [folder / name for name in written]
         print(f"\nWritten to {' and '.join(shown(file) for file in files if file.is_file())}")
+    elif refused is not None:
+        print(f"\n{refused}")
 
 
 def main() -> None:

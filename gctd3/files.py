@@ -9,9 +9,10 @@ import errno
 import hashlib
 import json
 import os
+import secrets
 import shlex
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,7 @@ MANIFEST = "manifest.json"
 TREE = "tree"  # key of the structure in a file's header
 BLOCK = 1 << 20
 OWN_ROBOT, OWN_MJCF = "robot", "robot.xml"  # a run's own copy of its robot, and the MJCF in it
+ASIDE = ".tmp"  # ending of names under which files are written before they are renamed
 
 
 def title(place: str) -> str:
@@ -120,9 +122,8 @@ def new_directory(path: Path) -> Iterator[Path]:
 
     If the block raises, the directory is removed.
     """
-    aside = path.with_name(f".{path.name}.tmp")
-    shutil.rmtree(aside, ignore_errors=True)
-    aside.mkdir(parents=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = new_aside(path, os.mkdir)
     try:
         yield aside
         _flush(aside)
@@ -131,6 +132,78 @@ def new_directory(path: Path) -> Iterator[Path]:
         shutil.rmtree(aside, ignore_errors=True)
         raise
     _flush(path.parent)
+
+
+def new_aside(path: Path, make: Callable[[Path], None]) -> Path:
+    """Make something new beside ``path``, under a name that nobody can know before, and return its path."""
+    # A name that can be guessed may be taken already, by a symbolic link to a file elsewhere.
+    aside = path.with_name(f".{path.name}.{secrets.token_hex(8)}{ASIDE}")
+    make(aside)  # refuses a name that is taken, by a link too
+    return aside
+
+
+def remove(path: Path) -> None:
+    """Remove a file, a whole directory, or a symbolic link but not what it points to."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def remove_leftovers(directory: Path) -> None:
+    """Remove what writes that were killed have left in a directory."""
+    for path in directory.glob(f".*{ASIDE}"):
+        remove(path)
+
+
+def refuse_links(directory: Path, besides: Collection[str] = ()) -> None:
+    """Refuse a directory in which a symbolic link leads elsewhere: what is written or deleted there is not its own.
+
+    Args:
+        directory: The directory; it may be a link itself.
+        besides: Names of directories in it that are not looked at.
+
+    Raises:
+        RunError: If there is a link in it; the message names the link.
+    """
+    for here, folders, files in os.walk(directory):
+        for name in (*folders, *files):
+            path = Path(here, name)
+            if path.is_symlink():
+                raise RunError(
+                    f"{path} is a symbolic link, to {os.readlink(path)}: what a run writes and deletes must be its "
+                    "own. Put what it points to in its place."
+                )
+        folders[:] = [name for name in folders if name not in besides]
+
+
+def unwritable(directory: Path) -> str | None:
+    """Return the reason why no file can be written to a directory, or to the nearest one above it that exists.
+
+    Returns:
+        The system's reason; ``None`` if a file can be written.
+    """
+    existing = next(place for place in (directory, *directory.absolute().parents) if os.path.lexists(place))
+    if not existing.is_dir():
+        return f"{existing} is not a directory"
+    try:
+        new_aside(existing / "writable", _make_file).unlink()
+    except OSError as error:
+        return f"{error.strerror}: {existing}"
+    return None
+
+
+def check_writable(file: Path) -> None:
+    """Raise a :class:`RunError` unless a file can be written, before the work whose result it is to hold."""
+    if file.is_dir():
+        raise RunError(f"out={file} is a directory, a file is expected.")
+    reason = unwritable(file.absolute().parent)
+    if reason is not None:
+        raise RunError(f"out={file} cannot be written: {reason}.")
+
+
+def _make_file(path: Path) -> None:
+    os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
 
 
 @contextmanager
@@ -173,7 +246,7 @@ def new_file(path: Path) -> Iterator[Path]:
 
     If the block raises, the file is removed.
     """
-    aside = path.with_name(f".{path.name}.tmp")
+    aside = new_aside(path, _make_file)
     try:
         yield aside
         os.replace(aside, path)

@@ -1,4 +1,4 @@
-"""Handle Ctrl-C and SIGTERM: the first one ends a training after its step, and other commands with a line.
+"""Handle Ctrl-C, SIGTERM and a hang-up: the first ends a training after its step, and other commands with a line.
 
 A second one ends the process at once.
 """
@@ -6,17 +6,31 @@ A second one ends the process at once.
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# SIGHUP is what the system sends when the terminal is closed or the connection to it is lost; Windows has none.
+_HANGUP = getattr(signal, "SIGHUP", None)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, *([] if _HANGUP is None else [_HANGUP]))
+
+
+def heeded() -> tuple[signal.Signals, ...]:
+    """Return the signals to listen for: not a hang-up that is ignored, as ``nohup`` asks for."""
+    return tuple(each for each in SIGNALS if each != _HANGUP or signal.getsignal(each) != signal.SIG_IGN)
+
+
+def leave_at_once(number: int) -> None:
+    """End the process as a signal does by itself."""
+    signal.signal(number, signal.SIG_DFL)
+    os.kill(os.getpid(), number)
 
 
 class Interruption:
-    """Raise ``KeyboardInterrupt`` at the first SIGINT or SIGTERM, and remember it; the second one ends the process.
+    """Raise ``KeyboardInterrupt`` at the first signal, and remember it; the second one ends the process.
 
     Attributes:
         signal: The number of the signal, or ``None``.
@@ -37,14 +51,15 @@ class Interruption:
             yield
 
     def _heard(self, number: int, frame: FrameType | None) -> None:
+        # Not by resetting the handlers at the first one: Python prints an error if the second has arrived by then.
+        if self.signal is not None:
+            leave_at_once(number)
         self.signal = number
-        for each in SIGNALS:
-            signal.signal(each, signal.SIG_DFL)
         raise KeyboardInterrupt
 
 
 class StopRequest:
-    """Remember the first SIGINT or SIGTERM; the second one ends the process.
+    """Remember the first signal; the second one ends the process.
 
     Args:
         file: For one of several processes, the file that stands for a signal which another process hears.
@@ -72,10 +87,12 @@ class StopRequest:
             yield
 
     def _heard(self, number: int, frame: FrameType | None) -> None:
+        if self.signal is not None:
+            leave_at_once(number)
         self.signal = number
-        for each in SIGNALS:
-            signal.signal(each, signal.SIG_DFL)
-        print("\nFinishing the step to save it; once more leaves at once.", flush=True)
+        # The terminal may be gone, and the signal may have come while a line was being written (a RuntimeError).
+        with contextlib.suppress(OSError, RuntimeError):
+            print("\nFinishing the step to save it; once more leaves at once.", flush=True)
 
 
 @contextlib.contextmanager
@@ -84,7 +101,7 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.signal(number, handler) for number in SIGNALS}
+    before = {number: signal.signal(number, handler) for number in heeded()}
     try:
         yield
     finally:

@@ -9,11 +9,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from gctd3.errors import RunError
+from gctd3.files import ASIDE, new_aside, remove
 
+REPORT = "report"
 PAGE, VERDICT, FIGURES, TABLES = "index.html", "verdict.txt", "figures", "tables"
 # What a report consists of; a directory with the first two is one.
 WRITTEN = (PAGE, VERDICT, f"{FIGURES}/*.svg", f"{FIGURES}/*.png", f"{TABLES}/*.csv")
-ASIDE = ".report.tmp"
 
 
 def check_place(out: Path, runs: Path) -> None:
@@ -32,7 +33,10 @@ def check_place(out: Path, runs: Path) -> None:
     if existing != out or all((out / name).is_file() for name in (PAGE, VERDICT)):
         return
     others = sorted(
-        path.name for path in out.iterdir() if path.name != ASIDE and not runs.resolve().is_relative_to(path.resolve())
+        path.name
+        for path in out.iterdir()
+        if not (path.name.startswith(f".{REPORT}.") and path.name.endswith(ASIDE))
+        and not runs.resolve().is_relative_to(path.resolve())
     )
     if others:
         raise RunError(
@@ -47,9 +51,10 @@ def in_place(out: Path) -> Iterator[Path]:
 
     If the block raises, ``out`` stays as it was.
     """
-    aside = out / ASIDE
-    shutil.rmtree(aside, ignore_errors=True)
-    aside.mkdir(parents=True)
+    out.mkdir(parents=True, exist_ok=True)
+    for left in out.glob(f".{REPORT}.*{ASIDE}"):  # by a report that was killed
+        remove(left)
+    aside = new_aside(out / REPORT, os.mkdir)
     try:
         yield aside
         new = {file.relative_to(aside) for pattern in WRITTEN for file in aside.glob(pattern)}

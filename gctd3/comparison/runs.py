@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from gctd3.errors import GCTD3Error, RunError
 from gctd3.evaluation.settings import EpisodeSettings
-from gctd3.files import MANIFEST, OWN_ROBOT, read_manifest
+from gctd3.files import MANIFEST, OWN_ROBOT, read_manifest, unwritable
 from gctd3.runs.evaluate import EVALUATION, ROBUSTNESS, TRACE, evaluate_run
 from gctd3.runs.settings import EvaluateSettings
 from gctd3.training.run_log import PROGRESS
@@ -228,6 +228,9 @@ def evaluated(runs: Sequence[Run], settings: EpisodeSettings) -> list[Run]:
 
 
 def _evaluate(run: Run, settings: EpisodeSettings) -> Run:
+    reason = unwritable(run.directory)
+    if reason is not None:
+        return replace(run, failure=f"its evaluation cannot be written: {reason}")
     try:
         reward = load_settings(run.directory).evaluation.reward
         shared = {item.name: getattr(settings, item.name) for item in fields(EpisodeSettings)}

@@ -29,6 +29,7 @@ from gctd3.config.fields import TARGET, find, is_settings, meanings
 from gctd3.config.help import CONF, asks_for_help, check_installed, choices, command_of, conf, fail, help_of
 from gctd3.config.paths import literal_paths
 from gctd3.config.suggestions import nearest
+from gctd3.config.terminal import prepare_output
 from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
 from gctd3.files import remove_empty, title
 from gctd3.signals import Interruption
@@ -55,6 +56,7 @@ def command(
         may_change: Keys that the command line may change, if it continues a run.
     """
     heard = Interruption()
+    prepare_output()
     try:
         with heard.listening():
             _run(config, task, rewrite, may_change)
@@ -62,7 +64,8 @@ def command(
         # An import that a signal broke off raises what it likes.
         if heard.signal is None and not isinstance(error, KeyboardInterrupt):
             raise
-        print("\nInterrupted.", file=sys.stderr)
+        with contextlib.suppress(OSError):  # a terminal that is gone
+            print("\nInterrupted.", file=sys.stderr)
         raise SystemExit(heard.exit_code) from None
 
 

@@ -28,7 +28,7 @@ from gctd3.envs.factory import build_env
 from gctd3.envs.settings import EnvSettings
 from gctd3.errors import NumericalError
 from gctd3.evaluation.rollout import evaluate
-from gctd3.files import write_bytes, write_text
+from gctd3.files import check_writable, write_bytes, write_text
 from gctd3.nn.actor import ACTION, NODES
 from gctd3.runs.load import load_run
 from gctd3.tasks.simulated_task import SimulatedTask
@@ -88,6 +88,7 @@ def export_run(settings: ExportSettings) -> Exported:
         NumericalError: If the exported network differs from PyTorch's.
     """
     run, out = load_run(settings.run), Path(settings.out)
+    check_writable(out)
     task = run.task("export")
     manifest, policy = checked(Checkpoints(run.directory).best()), run.policy()
     visited, change = rehearse(policy, task, run.settings.env, settings)

@@ -13,6 +13,7 @@ import numpy as np
 from dm_env import specs
 from torchrl.envs import DMControlWrapper
 
+from gctd3.envs.asked import AnyRobot, ask_simulated
 from gctd3.envs.mujoco_state import integration_state, load_integration_state
 from gctd3.envs.simulation import substeps_of
 from gctd3.robots.actuators import rest_servos
@@ -185,19 +186,32 @@ class DMEnvironment(control.Environment):
         self.task.load_state_dict(state)
 
 
-def load(task: SimulatedTask, random: int | np.random.RandomState | None = None) -> DMEnvironment:
+def load(
+    task: SimulatedTask | AnyRobot = "biped",
+    random: int | np.random.RandomState | None = None,
+    **asked: Any,  # noqa: ANN401 - of `ask`
+) -> DMEnvironment:
     """Load a simulated task as a dm_control environment.
 
     Args:
-        task: The simulated task; it holds the robot and the control period.
+        task: The simulated task; or its robot, as ``robot=`` of the command line takes it, see :func:`.ask`.
         random: Seed or state of the starts and commands.
+        asked: Other arguments of :func:`.ask`, if ``task`` is a robot: ``reward``, ``control_dt``, ``feet``,
+            ``forward``, ``terminations``, ``overrides``, and ``settings``, those of the task.
+
+    Raises:
+        ConfigError: If an argument is not what is expected, or does not fit the robot.
+        RobotError: If the robot cannot be used.
     """
+    if "settings" in asked:
+        asked["task"] = asked.pop("settings")
+    built = ask_simulated(task, **asked)
     # A copy of the model, so that changing it (a payload) does not affect other environments.
-    physics = Physics.from_model(wrapper.MjModel(copy.deepcopy(task.robot.model)))
+    physics = Physics.from_model(wrapper.MjModel(copy.deepcopy(built.robot.model)))
     return DMEnvironment(
         physics,
-        DMTask(task, random),
-        n_sub_steps=substeps_of(task.control_dt, task.robot),
+        DMTask(built, random),
+        n_sub_steps=substeps_of(built.control_dt, built.robot),
         # mj_step throughout, as in the batched simulation: sensors are read where the last physics step began.
         legacy_step=False,
     )

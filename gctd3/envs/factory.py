@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,16 +17,17 @@ from torchrl.envs import (
     TransformedEnv,
 )
 
+from gctd3.envs.asked import AnyRobot, ask
 from gctd3.envs.batched import BatchedEnv
 from gctd3.envs.check import CheckStep
 from gctd3.envs.serial import SerialRobots
 from gctd3.envs.settings import Backend, EnvSettings
 from gctd3.envs.simulation import Simulation
-from gctd3.errors import check_kind
-from gctd3.robots.settings import RobotSettings
+from gctd3.errors import ConfigError, suggest
+from gctd3.robots.floating_base import Axis
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import Task, TaskSettings, check_backend
-from gctd3.tasks.walk import WalkSettings
+from gctd3.tasks.terms import Termination
 
 # An environment of one batch dimension, and the transforms that write the common keys which it lacks.
 Made = tuple[EnvBase, list[Transform]]
@@ -96,32 +97,61 @@ class EnvRecipe:
 
 
 def make_env(
-    robot: str = "biped",
+    robot: AnyRobot = "biped",
     num_envs: int = 64,
     backend: Backend = "batched",
     history: int | None = None,
     seed: int = 0,
-    reward: Reward | None = None,
+    reward: Reward | str | None = None,
     task: TaskSettings | None = None,
+    *,
+    control_dt: float | None = None,
+    feet: Sequence[str] | None = None,
+    forward: Axis | None = None,
+    terminations: Mapping[str, Termination | None] | None = None,
+    overrides: Sequence[str] = (),
+    threads: int | None = None,
+    check: bool = False,
 ) -> EnvBase:
-    """Make an environment of a robot by its name, or the path of its MJCF; see :func:`build_env`.
+    """Make an environment of a robot, with the meaning that the command line has; see :func:`build_env`.
 
     Args:
-        robot: A shipped robot, or the path of an MJCF file.
+        robot: What ``robot=`` takes, or a robot or a compiled model in memory; see :func:`.ask`.
         num_envs: Number of robots simulated side by side.
-        backend: ``batched`` or ``dm_control``.
+        backend: ``batched`` or ``dm_control``; ``library`` for a task of another library.
         history: Number of frames stacked into an observation; the task's by default.
         seed: Seed of the starts.
-        reward: The reward; the paper's by default.
-        task: The other settings of the task; the paper's walk by default.
+        reward: The reward, or the name of an option of ``reward=``; the paper's by default.
+        task: The settings of the task; the robot's own by default.
+        control_dt: Control period (s); the task's by default.
+        feet: Bodies that may touch the ground.
+        forward: Forward direction: x, -x, y or -y.
+        terminations: Terminations besides the task's, or in their place; ``None`` leaves one out.
+        overrides: Further arguments of the command line, on robot, task and reward.
+        threads: Threads of the batched backend; all cores if ``None``.
+        check: Whether every step is checked by :class:`.CheckStep`.
+
+    Raises:
+        ConfigError: If an argument is not what is expected, or does not fit the robot.
+        RobotError: If the robot cannot be used.
 
     Example:
         >>> env = make_env("biped", num_envs=3, seed=0)
         >>> env.reset()["nodes"].shape
         torch.Size([3, 8, 10])
     """
-    asked = WalkSettings() if task is None else task
-    check_kind("task", asked, TaskSettings)
-    asked = asked if history is None else replace(asked, history=history)
-    built = asked.build(RobotSettings(robot), reward)
-    return build_env(built, EnvSettings(backend=backend, num_envs=num_envs), seed)
+    if backend not in BACKENDS:
+        raise ConfigError(f"backend must be {', '.join(BACKENDS)}, got {backend!r}.{suggest(backend, BACKENDS)}")
+    settings = EnvSettings(backend=backend, num_envs=num_envs, threads=threads, check=check)
+    built = ask(
+        robot,
+        task,
+        reward,
+        history=history,
+        control_dt=control_dt,
+        feet=feet,
+        forward=forward,
+        terminations=terminations,
+        overrides=overrides,
+    )
+    return build_env(built, settings, seed)

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from gctd3.envs.asked import AnyRobot, ask_simulated
 from gctd3.envs.simulation import Simulation
-from gctd3.errors import ConfigError, check_kind
-from gctd3.robots.settings import RobotSettings
+from gctd3.errors import ConfigError, suggest
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.simulated_task import SimulatedTask
-from gctd3.tasks.task import TaskSettings, check_backend
-from gctd3.tasks.walk import WalkSettings
+from gctd3.tasks.task import TaskSettings
+from gctd3.tasks.terminations import TimeLimit
+
+OPTIONS = ("control_dt", "feet", "forward", "terminations", "overrides")  # besides an environment's own arguments
 
 
 def _spaces(task: SimulatedTask, history: int) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
@@ -27,6 +29,13 @@ def _spaces(task: SimulatedTask, history: int) -> tuple[gymnasium.spaces.Box, gy
     )
 
 
+def _limit(steps: int) -> TimeLimit:
+    try:
+        return TimeLimit(steps)
+    except ConfigError as error:
+        raise ConfigError(f"max_episode_{error}") from error
+
+
 class BipedVectorEnv(VectorEnv):
     """Step N robots at once, as a Gymnasium vector environment.
 
@@ -34,11 +43,13 @@ class BipedVectorEnv(VectorEnv):
 
     Args:
         num_envs: Number of robots simulated side by side.
-        robot: A shipped robot, or the path of an MJCF file.
+        robot: What ``robot=`` of the command line takes, or a robot or a model in memory; see :func:`.ask`.
         history: Number of frames stacked into an observation; the task's by default.
-        reward: The reward; the paper's by default.
+        reward: The reward, or the name of an option of ``reward=``; the paper's by default.
         threads: Threads of the simulation; all cores if ``None``.
-        task: The other settings of the task; the paper's walk by default.
+        task: The settings of the task; the robot's own by default.
+        max_episode_steps: Control steps after which an episode is truncated, besides the task's own time limit.
+        asked: Other arguments of :func:`.ask`: ``control_dt``, ``feet``, ``forward``, ``terminations``, ``overrides``.
 
     Observation: ``float32 [num_envs, N, F * history]``, oldest frame first. Action: ``[num_envs, A]`` in [-1, 1].
     Info: ``success``, ``position`` (m) and the reward's terms, each ``[num_envs]``.
@@ -47,20 +58,21 @@ class BipedVectorEnv(VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        robot: str = "biped",
+        robot: AnyRobot = "biped",
         history: int | None = None,
-        reward: Reward | None = None,
+        reward: Reward | str | None = None,
         threads: int | None = None,
         task: TaskSettings | None = None,
+        max_episode_steps: int | None = None,
+        **asked: Any,  # noqa: ANN401 - of `ask`
     ) -> None:
-        settings = WalkSettings() if task is None else task
-        check_kind("task", settings, TaskSettings)
-        history = settings.history if history is None else history
-        if history < 1:
-            raise ConfigError(f"history must be at least 1, got {history}.")
-        asked = settings.build(RobotSettings(robot), reward)
-        check_backend(asked, "batched")
-        one = cast(SimulatedTask, asked)
+        if max_episode_steps is not None:
+            limit = {"max_episode_steps": _limit(max_episode_steps)}
+            asked["terminations"] = {**(asked.get("terminations") or {}), **limit}
+        if unknown := [name for name in asked if name not in OPTIONS]:
+            raise ConfigError(f"Unknown argument {unknown[0]!r}.{suggest(unknown[0], OPTIONS)} {', '.join(OPTIONS)}.")
+        one = ask_simulated(robot, task=task, reward=reward, history=history, **asked)
+        history = one.history
         self.simulation = Simulation(one, num_envs, threads=threads)
         self.num_envs = num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}
@@ -116,22 +128,24 @@ class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """Provide one robot as a Gymnasium environment; see :class:`BipedVectorEnv` for observation, action and info.
 
     Args:
-        robot: A shipped robot, or the path of an MJCF file.
+        robot: What ``robot=`` of the command line takes, or a robot or a model in memory; see :func:`.ask`.
         history: Number of frames stacked into an observation; the task's by default.
-        reward: The reward; the paper's by default.
-        task: The other settings of the task; the paper's walk by default.
+        reward: The reward, or the name of an option of ``reward=``; the paper's by default.
+        task: The settings of the task; the robot's own by default.
+        asked: Other arguments of :func:`.ask`: ``control_dt``, ``feet``, ``forward``, ``terminations``, ``overrides``.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - Gymnasium's name and type
 
     def __init__(
         self,
-        robot: str = "biped",
+        robot: AnyRobot = "biped",
         history: int | None = None,
-        reward: Reward | None = None,
+        reward: Reward | str | None = None,
         task: TaskSettings | None = None,
+        **asked: Any,  # noqa: ANN401 - of `ask`
     ) -> None:
-        self._one = BipedVectorEnv(1, robot, history, reward, threads=1, task=task)
+        self._one = BipedVectorEnv(1, robot, history, reward, 1, task, **asked)
         self.observation_space = self._one.single_observation_space
         self.action_space = self._one.single_action_space
 

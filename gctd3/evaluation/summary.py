@@ -11,6 +11,7 @@ import numpy as np
 
 from gctd3.evaluation import effort, gait_metrics
 from gctd3.evaluation.episode import Episode
+from gctd3.evaluation.quantities import ASYMMETRY
 from gctd3.evaluation.recorder import Motion, total_mass
 from gctd3.robots.robot import Robot
 
@@ -150,7 +151,7 @@ class Gait:
 
 def asymmetry_of(joint: str) -> str:
     """Name the metric for the left-right difference of a joint's movement."""
-    return f"asymmetry_{joint}"
+    return f"{ASYMMETRY}{joint}"
 
 
 def summarize(episodes: Sequence[Episode], robot: Robot, dt: float) -> dict[str, float | None]:

@@ -7,6 +7,7 @@ the joint, which slows a saturated servo, instead of one of its servo.
 from __future__ import annotations
 
 import glob
+import math
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -18,7 +19,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from gctd3.errors import RobotError, one_line
+from gctd3.errors import RobotError, one_line, suggest
 
 _READ_BY_MUJOCO = (".stl", ".obj", ".msh")
 _ROOT = re.compile(rb"<\s*([A-Za-z_][\w:.-]*)")
@@ -75,6 +76,7 @@ def read_urdf(file: Path) -> URDF:
         raise RobotError(f"{file} is a template: make the URDF of it with xacro {file.name} > {file.stem}.urdf.")
     if root.tag != "robot" or root.find("link") is None:
         raise RobotError(f"{file} is not a URDF: it has no <robot> with a <link>.")
+    _check_tree(root, file)
     notes: list[str] = []
     meshes = _take_meshes(root, file, notes)
     _mend_inertias(root, file, notes)
@@ -96,6 +98,65 @@ def read_urdf(file: Path) -> URDF:
     limits = _limits(spec, root, notes)
     _exclude_overlaps(spec, file, notes)
     return URDF(spec, limits, tuple(notes))
+
+
+def _check_tree(root: ElementTree.Element, file: Path) -> None:
+    """Check that links and joints have names of their own, and that every joint names two links, no link twice."""
+    links = _names(root, "link", file)
+    _names(root, "joint", file)
+    children, above = dict[str, str](), dict[str, str]()
+    for joint in root.iterfind("joint"):
+        name = joint.get("name", "")
+        parent, child = _end(joint, "parent"), _end(joint, "child")
+        for tag, link in (("parent", parent), ("child", child)):
+            if link not in links:
+                raise RobotError(
+                    f"{file}: the {tag} of joint {name!r} must be a link, got {link!r}.{suggest(link, links)}"
+                )
+        if child in children:
+            raise RobotError(
+                f"{file}: link {child!r} must be the child of one joint, got {children[child]!r} and {name!r}."
+            )
+        children[child], above[child] = name, parent
+        limit = joint.find("limit")
+        for key, text in ({} if limit is None else limit.attrib).items():
+            if math.isnan(_number(text)):
+                raise RobotError(f"{file}: {key} of joint {name!r} must be a number, got {text!r}.")
+    # Each link has one joint above it at most: a way up that does not end goes round.
+    for link in links:
+        place, seen = link, set[str]()
+        while place in above and place not in seen:
+            seen.add(place)
+            place = above[place]
+        if place in seen:
+            raise RobotError(f"{file}: links must form a tree; from {place!r} joints lead back to it.")
+
+
+def _end(joint: ElementTree.Element, tag: str) -> str:
+    """Return the link that a joint names as its parent or child; empty if it names none."""
+    end = joint.find(tag)
+    return "" if end is None else end.get("link", "")
+
+
+def _names(root: ElementTree.Element, tag: str, file: Path) -> set[str]:
+    """Return the names of all links or joints, which must be there and differ."""
+    names = set[str]()
+    for element in root.iterfind(tag):
+        name = element.get("name", "")
+        if not name or name in names:
+            raise RobotError(
+                f"{file}: every {tag} must have a name of its own, got {name!r}{' twice' if name else ''}."
+            )
+        names.add(name)
+    return names
+
+
+def _number(text: str) -> float:
+    """Return the number that a text is; NaN for another text."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 # Meshes.
@@ -322,12 +383,10 @@ def _fix_massless(root: ElementTree.Element, file: Path, notes: list[str]) -> No
         raise RobotError(f"{file}: no link has a mass (<inertial> with <mass>).")
     below: dict[str, list[ElementTree.Element]] = {}
     for joint in root.iterfind("joint"):
-        parent = joint.find("parent")
-        below.setdefault("" if parent is None else parent.get("link", ""), []).append(joint)
+        below.setdefault(_end(joint, "parent"), []).append(joint)
 
     def child(joint: ElementTree.Element) -> str:
-        element = joint.find("child")
-        return "" if element is None else element.get("link", "")
+        return _end(joint, "child")
 
     def has_mass(link: str, rigid: bool, seen: frozenset[str] = frozenset()) -> bool:
         """Tell whether a link has a mass, or one below it; with ``rigid`` only those fixed to it count."""
@@ -395,11 +454,11 @@ def _skip_floating_root(root: ElementTree.Element) -> None:
     joints = root.findall("joint")
     floating = [joint for joint in joints if joint.get("type") == "floating"]
     for joint in floating:
-        parent = joint.find("parent")
-        name = None if parent is None else parent.get("link")
-        above = [other for other in joints if other.find(f"child[@link='{name}']") is not None]
-        beside = [other for other in joints if other.find(f"parent[@link='{name}']") is not None]
-        link = root.find(f"link[@name='{name}']")
+        name = _end(joint, "parent")
+        # Not by a path of XML, in which a name could hold what ends it.
+        above = [other for other in joints if _end(other, "child") == name]
+        beside = [other for other in joints if _end(other, "parent") == name]
+        link = next((link for link in root.iterfind("link") if link.get("name") == name), None)
         if not above and len(beside) == 1 and link is not None and link.find("inertial") is None:
             root.remove(link)
             root.remove(joint)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gctd3.files import new_file
+from gctd3.files import check_writable, new_file
 from gctd3.runs.load import load_run
 from gctd3.runs.settings import RenderSettings
 from gctd3.viz.film import check_camera, check_video, draw, record, sheet, stride, write_animation
@@ -28,6 +28,7 @@ def render_run(settings: RenderSettings) -> Path:
     task = run.task("film")
     policy, robot = run.policy(), task.robot
     # Check all requirements before the walk.
+    check_writable(out)
     check_camera(robot, settings.camera)
     find_backend()
     if out.suffix == ".mp4":

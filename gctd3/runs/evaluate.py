@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gctd3.envs.factory import build_env
+from gctd3.errors import RunError
 from gctd3.evaluation.episode import LAST_METRES, Episode
+from gctd3.evaluation.quantities import quantity
 from gctd3.evaluation.robustness import Examination
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize, why_missing
-from gctd3.files import made, new_file, write_text
+from gctd3.files import made, new_file, unwritable, write_text
 from gctd3.robots.robot import Robot
 from gctd3.runs.settings import EvaluateSettings
 from gctd3.tasks.task import check_able
@@ -33,12 +37,60 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
         The report in ``evaluation.json``.
 
     Raises:
+        OSError: If they cannot be written.
+        RunError: If the directory is not a run, one of another version, or of a task that robustness is not for.
+    """
+    with made(settings.folder):
+        report, motion = measure_run(settings)
+        write_evaluation(settings.folder, report, motion)
+    return report
+
+
+def where_to_write(settings: EvaluateSettings) -> tuple[Path | None, str | None]:
+    """Check, before a simulation that may be long, that its results can be written.
+
+    Returns:
+        The folder, ``None`` to write nothing; and, where the run's own cannot be written to, a line that says so.
+
+    Raises:
+        RunError: If ``out`` asks for a folder that cannot be written to.
+    """
+    folder = settings.folder
+    reason = unwritable(folder) if folder is not None else None
+    if reason is None:
+        return folder, None
+    if settings.out is not None:
+        raise RunError(f"out={settings.out} cannot be written to: {reason}.")
+    return None, f"Nothing is written to {folder}: {reason}. out=DIR writes elsewhere."
+
+
+def write_evaluation(folder: Path | None, report: Mapping[str, object], motion: str | None) -> None:
+    """Write what :func:`measure_run` returned to a folder, if one is given.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    if folder is None:
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    if motion is not None:
+        write_text(folder / TRACE, motion)
+    write_text(folder / EVALUATION, json.dumps(report, indent=2) + "\n")
+
+
+def measure_run(settings: EvaluateSettings) -> tuple[dict[str, object], str | None]:
+    """Evaluate the best policy of a run, and write nothing.
+
+    Returns:
+        The report, and the motion of the typical episode as CSV; ``None`` for a task that cannot be filmed.
+
+    Raises:
         RunError: If the directory is not a run, one of another version, or of a task that robustness is not for.
     """
     from gctd3.runs.load import load_run
     from gctd3.training.checkpoint import versions
 
-    run, folder = load_run(settings.run), settings.folder
+    run = load_run(settings.run)
     if settings.robustness:
         check_able(run.setup.task, "robustness", run.directory)
     policy = run.policy()
@@ -46,53 +98,58 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     task = run.setup.task.with_reward(reward)
     env = build_env(task, run.settings.env.for_evaluation(settings.episodes, settings.threads), settings.seed)
     walks, dt = "film" in task.abilities, task.control_dt
-    with made(folder):
-        result = evaluate(policy, env, task, settings.seed, record=walks)
-        robot = task.robot.path.stem
-        about: dict[str, object] = {"robot": robot, "reward": reward.to_dict()} if walks else {"task": task.name}
-        report: dict[str, object] = {
-            **about,
-            **result.summary(),
-            "gait": {**result.gait(), **(summarize(result.episodes, task.robot, dt) if walks else {})},
-            "seeds": {"training": run.settings.seed, "evaluation": settings.seed},
-            "versions": versions(),
-        }
-        report = {key: _finite(value) for key, value in report.items()}
-        if folder is not None:
-            if walks:
-                write_text(folder / TRACE, trace(result.typical, task.robot, dt))
-            write_text(folder / EVALUATION, json.dumps(report, indent=2) + "\n")
-    return report
+    result = evaluate(policy, env, task, settings.seed, record=walks)
+    robot = task.robot.path.stem
+    about: dict[str, object] = {"robot": robot, "reward": reward.to_dict()} if walks else {"task": task.name}
+    report: dict[str, object] = {
+        **about,
+        **result.summary(),
+        "gait": {**result.gait(), **(summarize(result.episodes, task.robot, dt) if walks else {})},
+        "seeds": {"training": run.settings.seed, "evaluation": settings.seed},
+        "versions": versions(),
+    }
+    report = {key: _finite(value) for key, value in report.items()}
+    return report, trace(result.typical, task.robot, dt) if walks else None
 
 
 def examine_run(settings: EvaluateSettings, stride_time: float | None) -> dict[str, Any]:
-    """Test the robustness of a run's best policy; write ``robustness.json``, with matplotlib a picture too.
+    """Test the robustness of a run's best policy, and write nothing.
 
     Args:
         settings: The settings, as for :func:`evaluate_run`.
         stride_time: Stride time of its gait (s), if it has strides.
 
     Returns:
-        The results in ``robustness.json``, see :meth:`.Examination.results`.
+        The results, see :meth:`.Examination.results`.
+
+    Raises:
+        RunError: If it is not a run, or one of a task that robustness is not for.
     """
     from gctd3.runs.load import load_run
     from gctd3.training.checkpoint import versions
 
-    run, folder = load_run(settings.run), settings.folder
+    run = load_run(settings.run)
     reward = settings.reward or run.settings.evaluation.reward
     task = run.task("robustness", reward)
     env = run.settings.env.for_evaluation(settings.episodes, settings.threads)
     examination = Examination(run.policy(), task, env, settings.seed, settings.perturbations)
-    results = {**examination.results(stride_time), "reward": reward.to_dict(), "versions": versions()}
+    return {**examination.results(stride_time), "reward": reward.to_dict(), "versions": versions()}
+
+
+def write_robustness(folder: Path | None, results: dict[str, Any]) -> None:
+    """Write the results of :func:`examine_run` to a folder, if one is given; with matplotlib a picture too.
+
+    Raises:
+        OSError: If they cannot be written.
+    """
     if folder is None:
-        return results
+        return
     write_text(folder / ROBUSTNESS, json.dumps(_finite(results), indent=1) + "\n")
     if find_spec("matplotlib") is not None:
         from gctd3.viz import robustness_plot
 
         with new_file(folder / ROBUSTNESS_PICTURE) as aside:
             robustness_plot.save(results, aside)
-    return results
 
 
 def trace(episode: Episode, robot: Robot, dt: float) -> str:
@@ -149,7 +206,7 @@ def table(report: dict[str, object]) -> str:
     for key, value in gait.items():
         if key != "episodes":
             text = f"{value:.4g}" if value is not None else why_missing(gait, key) if key in OF_STRIDES else "undefined"
-            lines.append(f"{key.replace('_', ' '):34}{text:>18}")
+            lines.append(f"{quantity(key).title:34}{text:>18}")
     return "\n".join(lines)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version
@@ -29,6 +28,8 @@ from gctd3.files import (
     new_directory,
     new_file,
     read_manifest,
+    remove,
+    remove_leftovers,
     save_tree,
     write_manifest,
 )
@@ -91,7 +92,7 @@ class Checkpoints:
                 write_manifest(aside, self._manifest(frames, {POLICY: seal}, metrics=finite))
         for other in self.directory.glob("best-*"):
             if other != target:
-                shutil.rmtree(other)
+                remove(other)
 
     def newest(self) -> tuple[dict[str, Any], Iterator[tuple[int, dict[str, Tensor]]]] | None:
         """Return state and replay rows of the newest checkpoint that is whole; ``None`` if there is no checkpoint.
@@ -131,12 +132,19 @@ class Checkpoints:
         # Two only if the one before was about to be dropped.
         return paths[-1]
 
-    def forget_after(self, frames: int) -> None:
-        """Delete checkpoints and policies later than ``frames``, damaged or not: continuing there makes them again."""
-        for path in (*self.directory.glob("step-*"), *self.directory.glob("best-*")):
-            if int(path.name.partition("-")[2]) > frames:
-                shutil.rmtree(path)
+    def forget_after(self, frames: int) -> bool:
+        """Delete checkpoints and policies later than ``frames``, damaged or not: continuing there makes them again.
+
+        Returns:
+            Whether a policy was among them, for which an earlier one had been deleted.
+        """
+        later = [
+            path for path in (*self.directory.glob("step-*"), *self.directory.glob("best-*")) if _of(path) > frames
+        ]
+        for path in later:
+            remove(path)
         self._drop()
+        return any(path.name.startswith("best-") for path in later)
 
     def _manifest(self, frames: int, files: Mapping[str, str], **more: Any) -> dict[str, Any]:  # noqa: ANN401
         return {"format": FORMAT, "frames": frames, "versions": versions(), "files": dict(files), **self.about, **more}
@@ -164,18 +172,17 @@ class Checkpoints:
 
     def _drop(self) -> None:
         """Delete checkpoints before the newest ones, parts of the replay that none of those names, and leftovers."""
-        for path in self.directory.glob(".*.tmp"):  # of a write that was killed
-            shutil.rmtree(path)
+        remove_leftovers(self.directory)
         paths = sorted(self.directory.glob("step-*"))
         for path in paths[: -self.keep]:
-            shutil.rmtree(path)
+            remove(path)
         named = set()
         for path in paths[-self.keep :]:
             with contextlib.suppress(RunError):
                 named |= {part["file"] for part in read_manifest(path)["replay"]}
         for file in (self.directory / REPLAY).glob("*"):
             if file.name not in named:
-                file.unlink()
+                remove(file)
 
     @contextlib.contextmanager
     def _room(self) -> Iterator[None]:
@@ -193,6 +200,12 @@ class Checkpoints:
                 f"{self.directory} has checkpoints of format 1, as gctd3 wrote before format {FORMAT}; "
                 "train again, or use the version that wrote them."
             )
+
+
+def _of(path: Path) -> float:
+    """Return the frames in the name of a checkpoint or policy; infinity for another name."""
+    frames = path.name.partition("-")[2]
+    return int(frames) if frames.isdecimal() else math.inf
 
 
 def checked(path: Path) -> dict[str, Any]:

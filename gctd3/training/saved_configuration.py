@@ -39,6 +39,7 @@ HARMLESS = (
     "keep_checkpoints",
     "checkpoint_every",
     "stop_when",
+    "give_up",
     "collector.workers",
     "collector.cpus",
     "collector.timeout",
@@ -47,6 +48,8 @@ HARMLESS = (
     "collector.address",
     "resume",
 )
+# Those of them on which the order of sums or the draws depend, so that numbers differ from there on.
+_ARITHMETIC = ("threads", "device", "collector.workers", "collector.cpus")
 _ELSEWHERE = ("--config-dir", "-cd", "hydra.searchpath")  # where other options may be
 
 
@@ -136,6 +139,11 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
     was, known = _composed(root, first)
     before, after = flat(was), flat(compose(root, [*known, *new]))
     difference = {key: after.get(key) for key in {*before, *after} if before.get(key) != after.get(key)}
+    # A run beside others has its share of the cores in its configuration, and nothing of it on its command line.
+    kept, named = flat(config), [_place(item) for item in new]
+    for key in {*kept, *after}:
+        if _harmless(key) and kept.get(key) != after.get(key) and any(f"{key}.".startswith(f"{n}.") for n in named):
+            difference[key] = after.get(key)
     forbidden = sorted(key for key in difference if not _harmless(key))
     if forbidden:
         lines = "".join(f"\n  {key}: {before.get(key)!r} -> {difference[key]!r}" for key in forbidden)
@@ -151,6 +159,15 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
         elif isinstance(mapping, DictConfig):
             mapping.pop(name, None)
     return config, line if difference else first
+
+
+def changes_of_arithmetic(before: DictConfig, after: DictConfig) -> str | None:
+    """Return a line on the settings by which a run that goes on computes other numbers; ``None`` if there are none."""
+    was, now = flat(before), flat(after)
+    changes = [f"{key} {was.get(key)} -> {now.get(key)}" for key in _ARITHMETIC if was.get(key) != now.get(key)]
+    if not changes:
+        return None
+    return f"{', '.join(changes)}: from here on its numbers are not those of a run that was left alone."
 
 
 def _in_force(item: str, line: Sequence[str]) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,12 +13,13 @@ from omegaconf import DictConfig, OmegaConf
 
 from gctd3.config.build import again, build, packages
 from gctd3.config.paths import escaped
+from gctd3.config.terminal import enduring_output
 from gctd3.errors import RunError
-from gctd3.files import remove_empty, shown
+from gctd3.files import refuse_links, remove, remove_empty, remove_leftovers, shown
 from gctd3.robots.own_copy import has_robot, keep_robot
 from gctd3.signals import StopRequest
 from gctd3.training.run_lock import only_one
-from gctd3.training.saved_configuration import CONFIG, changed, save_config
+from gctd3.training.saved_configuration import CONFIG, changed, changes_of_arithmetic, load_config, save_config
 from gctd3.training.saved_robot import setup_of
 from gctd3.training.sweep import share_cores, stop_file
 
@@ -54,13 +54,17 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     resumed = resumed or (sweeping and (run / CONFIG).is_file())
     # What the command line itself names is the user's: a sweep that goes on names its terms again.
     own = packages(config)
+    differs: str | None = None
     if resumed:
+        before = load_config(run)
         config, overrides = changed(run, "config", overrides)
     if stop.file is not None:
         share_cores(config)
     if config.init is not None:
         # The run goes on in any directory.
         config.init = escaped(str(Path(config.init).absolute()))
+    if resumed:
+        differs = changes_of_arithmetic(before, config)
     settings = build(config, trusted=not resumed, besides=own)
     settings.check_here()
     setup = setup_of(run, settings) if resumed else settings.setup()
@@ -81,9 +85,12 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
         left = [*(run / FOLDER).glob("*"), *run.glob(POST_MORTEM)]
         return bool(left) or (trainer is not None and trainer.counters.frames > 0)
 
+    refuse_links(run, besides=("wandb",))  # which makes links of its own
     with _removed_unless(begun, run), only_one(run), _output(run, stop):
         if not resumed:
             refuse_a_run(run)
+        for folder in (run, (run / CONFIG).parent):
+            remove_leftovers(folder)
         if settings.robot.takes_a_source and setup.robot.source is not None:
             # A run keeps to its file, whatever else is installed when it is continued or evaluated.
             config.robot.source = setup.robot.source.place
@@ -96,6 +103,8 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
         print(OmegaConf.to_yaml(config))
         if settings.replay.mirror:
             print(setup.mirror_check)
+        if differs is not None:
+            print(differs)
         print(f"Run directory: {shown(run)}\n", flush=True)
         if setup.robot.origin:
             print(f"{setup.robot.origin}\n", flush=True)
@@ -106,12 +115,15 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
                 f"{run} is finished after {trainer.counters.frames:,} steps. To train on, raise total_frames, and "
                 "stop_when.evaluations or stop_when.evaluations=null if its conditions ended it."
             )
-        trainer.run(stop)
-        print(_summary(trainer.best, run, config, walks))
-        if not trainer.finished:
-            print(f"Continue it:  {again(config, 'train', f'resume={run}')}")
+        # From here on there is a result, which does not depend on who reads about it.
+        with enduring_output():
+            trainer.run(stop)
+            print(_summary(trainer.best, run, config, walks))
+            if not trainer.finished:
+                print(f"Continue it:  {again(config, 'train', f'resume={run}')}")
     if stop.file is not None:
-        print(f"{shown(run)}: {'stopped' if stop else 'done'}. {_best_text(trainer.best, walks)}", flush=True)
+        with enduring_output():
+            print(f"{shown(run)}: {'stopped' if stop else 'done'}. {_best_text(trainer.best, walks)}", flush=True)
     return trainer.best
 
 
@@ -124,10 +136,7 @@ def _removed_unless(begun: Callable[[], bool], run: Path) -> Iterator[None]:
     except BaseException:
         if new and not begun():
             for item in run.iterdir():
-                if item.is_dir():
-                    shutil.rmtree(item)
-                else:
-                    item.unlink()
+                remove(item)
             remove_empty(run)
         raise
 

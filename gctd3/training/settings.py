@@ -17,6 +17,7 @@ from gctd3.setup.setup import Setup
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import TaskSettings, check_backend
 from gctd3.training.device import check_device, check_index
+from gctd3.training.give_up import GiveUp
 from gctd3.training.stop_when import StopWhen
 
 if TYPE_CHECKING:
@@ -61,6 +62,7 @@ class TrainSettings:
         imitation: How the policy begins as the gait that the warm-up found.
         evaluation: Evaluations.
         stop_when: Conditions on evaluations.
+        give_up: Signs by which a training that cannot succeed is ended.
         collector: Processes that step the robots.
         seed: Seed of networks, exploration, replay and starts.
         total_frames: Frames (control steps of single robots) to collect at most.
@@ -93,6 +95,7 @@ class TrainSettings:
     evaluation: EvaluationSettings
     stop_when: StopWhen
     imitation: ImitationSettings = field(default_factory=ImitationSettings)
+    give_up: GiveUp = field(default_factory=GiveUp)
     collector: InlineSettings | ProcessSettings = field(default_factory=InlineSettings)
     seed: int = 0
     total_frames: int = 600_000

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from gctd3.errors import ConfigError, suggest
 
-# Columns of progress.csv.
+# Columns of progress.csv; gctd3.evaluation.quantities has names, units and definitions of those of gaits.
 COLUMNS = (
     "frames",
     "updates",

@@ -14,7 +14,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from gctd3.files import shown
-from gctd3.signals import SIGNALS
+from gctd3.signals import heeded
 
 STOP = ".stop"  # in the sweep's directory while its runs are to end
 
@@ -71,7 +71,7 @@ class StopTogether(Callback):
             launcher.initializer = {"_target_": "hydra.utils.get_method", "path": f"{__name__}.heed_no_interrupts"}
         self._file = Path(config.hydra.sweep.dir) / STOP
         self._file.unlink(missing_ok=True)
-        self._before = {number: signal.signal(number, self._heard) for number in SIGNALS}
+        self._before = {number: signal.signal(number, self._heard) for number in heeded()}
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:  # noqa: ANN401 - Hydra's
         """Stop listening for signals, and say how to continue if the sweep was stopped."""

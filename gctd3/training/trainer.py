@@ -6,6 +6,8 @@ import contextlib
 import json
 import logging
 import math
+import sys
+import threading
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -29,14 +31,16 @@ from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.data.replay import Replay
 from gctd3.data.stepping import Stepping
 from gctd3.envs.factory import EnvRecipe, build_env
-from gctd3.errors import NumericalError, WorkerError
+from gctd3.errors import NumericalError, RunError, TrainingError, WorkerError
 from gctd3.evaluation.rollout import evaluate
 from gctd3.files import new_directory, save_tree, shown, write_manifest, write_text
 from gctd3.setup.setup import Setup
 from gctd3.signals import StopRequest
 from gctd3.tasks.simulated_task import SimulatedTask
-from gctd3.training.checkpoint import STATE, Checkpoints, fit
+from gctd3.training.checkpoint import STATE, Checkpoints, checked, fit
 from gctd3.training.device import pick_device
+from gctd3.training.diagnosis import why_given_up
+from gctd3.training.give_up import Watch
 from gctd3.training.initial_networks import begin_from
 from gctd3.training.progress import Counters
 from gctd3.training.rng_state import load_random_state, random_state, seed_all
@@ -72,6 +76,8 @@ class Trainer:
         self.settings, self.directory = settings, directory
         # Its notices of every storage and transform would break into the progress bar.
         torchrl_logger.setLevel(logging.WARNING)
+        # A lock of this process alone: one of many processes would be reported as a leak if a signal ends this one.
+        tqdm.set_lock(threading.RLock())
         if settings.threads is not None:
             torch.set_num_threads(settings.threads)
         # Before the networks, so that their initial weights are the seed's.
@@ -92,6 +98,7 @@ class Trainer:
         self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, manifest)
         self.log = RunLog(directory, settings.logger)
         self.counters = Counters(next_evaluation=self._first_evaluation)
+        self.watch = self._new_watch()
         self.best: dict[str, float] | None = None
         self._clock = time.monotonic()
         self._next_save = settings.checkpoint_every
@@ -102,6 +109,13 @@ class Trainer:
         robots, exploration = settings.env.num_envs, settings.exploration
         exploring = Explorer(algorithm.actor, task.robot, robots, exploration, task.control_dt, gait=task.gait)
         return algorithm, exploring
+
+    def _new_watch(self) -> Watch:
+        settings, frames = self.settings, self.settings.give_up.reward_frames
+        # Tasks of other libraries have rewards that somebody has learnt from.
+        judged = frames is not None and "film" in self.setup.task.abilities
+        begin = max(frames, settings.exploration.learning_starts) if frames is not None and judged else None
+        return Watch(settings.give_up, settings.env.num_envs, begin)
 
     def _begin_from_a_run(self) -> None:
         """Copy the networks of the run that ``init`` names, if it names one."""
@@ -135,6 +149,7 @@ class Trainer:
         Raises:
             NumericalError: If an observation, action, reward or loss is not finite.
             RunError: If a checkpoint cannot be written.
+            TrainingError: If the first batches show that it cannot succeed, see :class:`.GiveUp`.
             WorkerError: If a worker fails too often in a row; a checkpoint is written before.
         """
         if self.counters.frames == 0:
@@ -186,6 +201,8 @@ class Trainer:
         now.episodes += int(collected["next", "done"].sum())
         now.diverged += int(collected["next", "diverged"].sum())
         bar.update(collected.numel())
+        if (failure := self.watch.judge(collected, now.frames)) is not None:
+            raise TrainingError(why_given_up(failure, self.watch.seen, settings, self.setup.task, now.frames))
         if now.frames < now.next_evaluation and not self._spent:
             return
         now.next_evaluation += settings.evaluation.every
@@ -299,8 +316,28 @@ class Trainer:
         path = self.checkpoints.directory
         fit(path, lambda: self.replay.load_state_dict(state.pop("replay"), rows))
         fit(path, lambda: self.load_state_dict(state))
-        self.checkpoints.forget_after(self.counters.frames)
+        self._check_best(self.checkpoints.forget_after(self.counters.frames))
         return True
+
+    def _check_best(self, follows: bool) -> None:
+        """Let the next policy count as the best one if the files of the best one so far are gone or damaged.
+
+        Args:
+            follows: Whether they are gone because a better one came, which is now made again.
+        """
+        if self.best is None:
+            return
+        try:
+            checked(self.checkpoints.best())
+        except RunError as error:
+            lost, self.best = int(self.best["frames"]), None
+            if follows:
+                return
+            print(
+                f"The best policy so far, of {lost:,} steps, is lost: {error} The next one that is evaluated takes its "
+                "place.",
+                file=sys.stderr,
+            )
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state that the rest of the training depends on, without the replay."""
@@ -311,6 +348,7 @@ class Trainer:
             "algorithm": self.algorithm.state_dict(),
             "explorer": self.explorer.state_dict(),
             "collector": self.collector.state_dict(),
+            "watch": self.watch.state_dict(),
             "random": random_state(self.device),
         }
 
@@ -324,6 +362,7 @@ class Trainer:
         if self.algorithm.updates:
             self._follow_gait()
         self.collector.load_state_dict(state["collector"])
+        self.watch.load_state_dict(state.get("watch"))
         load_random_state(state["random"], self.device)
         self._clock = time.monotonic()
         self._next_save = self._wall() + self.settings.checkpoint_every

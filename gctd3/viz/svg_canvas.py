@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import escape
 
 from PIL import Image, ImageDraw, ImageFont
+
+from gctd3.files import write_bytes, write_text
 
 Point = tuple[float, float]
 _FINER = 3  # times as many pixels while drawing a PNG, so that edges come out smooth
@@ -61,9 +64,11 @@ class Picture:
     def save(self, path: Path) -> None:
         """Write the picture as a ``.svg`` or a ``.png``."""
         if path.suffix == ".svg":
-            path.write_text(self.svg(), encoding="utf-8")
+            write_text(path, self.svg())
         else:
-            self.image().save(path)
+            content = io.BytesIO()
+            self.image().save(content, format="PNG")
+            write_bytes(path, content.getvalue())
 
     def svg(self) -> str:
         """Return the picture as the text of an SVG file."""

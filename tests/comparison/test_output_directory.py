@@ -95,7 +95,8 @@ def test_a_report_that_fails_leaves_the_one_before(runs, tmp_path, monkeypatch):
     assert contents(out) == before
     # Temporary files of a killed report are no reason to refuse.
     killed = tmp_path / "killed"
-    (killed / ".report.tmp" / "figures").mkdir(parents=True)
+    (killed / ".report.1f2e.tmp" / "figures").mkdir(parents=True)
     check_place(killed, runs)
     report(ReportSettings(str(runs), str(killed)))
     assert contents(killed) == before
+    assert not list(killed.glob(".*.tmp"))

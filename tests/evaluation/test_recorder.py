@@ -15,6 +15,7 @@ from tensordict.nn import TensorDictModule
 from gctd3.envs.simulation import Simulation
 from gctd3.evaluation.episode import Episode
 from gctd3.evaluation.gait_metrics import strides
+from gctd3.evaluation.quantities import QUANTITIES, quantity
 from gctd3.evaluation.recorder import Motion, Recorder, Servos, soles, total_mass
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize
@@ -298,6 +299,25 @@ def test_the_table_says_when_a_gait_is_not_periodic():
     assert slides.count("not periodic") == 2 and "0.25" in slides
     short = said(periodic_fraction=1.0, stride_time=0.5, floquet_max=None)
     assert "too few strides" in short and "not periodic" not in short
+
+
+def test_every_line_of_the_table_has_one_quantity_with_its_unit(robot):
+    """Made-up feet whose bounces are touchdowns, but no strides: two quantities with two numbers and two names."""
+    gait = {**made_up(robot).gait(DT), **summarize([made_up(robot)], robot, DT)}
+    shown = table({"gait": {"episodes": 1, **gait}, "episodes": 1, "return_mean": 1.0, "return_std": 0.0})
+    names = [line[:34].strip() for line in shown.split("Gait over")[1].splitlines()[1:]]
+    assert len(names) == len(set(names)) == len(gait)
+    assert {"stride frequency, Hz", "touchdown frequency, Hz", "stride time, s", "asymmetry, hip right, rad"} <= set(
+        names
+    )
+    assert "hz" not in [word for name in names for word in name.split()]
+    # Every key is known, so that none is shown without its unit.
+    assert all(quantity(key).meaning for key in gait)
+
+
+def test_quantities_are_different_from_one_another():
+    for field in ("key", "name", "meaning"):
+        assert len({getattr(known, field) for known in QUANTITIES}) == len(QUANTITIES), field
 
 
 def test_strides_of_made_up_feet(robot):

@@ -1,6 +1,7 @@
 """Trainings ended by a signal, a kill, a second training or a full disk continue from their checkpoint."""
 
 import errno
+import io
 import math
 import os
 import re
@@ -33,7 +34,12 @@ SOON = [*LONG, "evaluation.every=80"]
 
 
 @pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.nightly)]
+    ("number", "code"),
+    [
+        (signal.SIGINT, 130),
+        pytest.param(signal.SIGTERM, 143, marks=pytest.mark.nightly),
+        pytest.param(signal.SIGHUP, 129, marks=pytest.mark.nightly),
+    ],
 )
 def test_a_signal_finishes_the_step_and_says_how_to_go_on(tmp_path, number, code):
     run = tmp_path / "run"
@@ -69,6 +75,55 @@ def test_a_second_signal_leaves_at_once(tmp_path):
     assert running.returncode == -signal.SIGINT
     assert "once more leaves at once" in out
     assert "Traceback" not in error
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("apart", [0.0, 0.001, 0.01])
+def test_two_signals_close_to_one_another_print_no_traceback(tmp_path, apart):
+    run = tmp_path / "run"
+    running = start(run, *LONG)
+    wait_for(lambda: (run / ".hydra" / "config.yaml").exists())
+    time.sleep(1.0)
+    running.send_signal(signal.SIGTERM)
+    time.sleep(apart)
+    running.send_signal(signal.SIGINT)
+    _, error = running.communicate(timeout=60)
+    assert running.returncode in (-signal.SIGTERM, -signal.SIGINT, 143, 130)
+    assert "Traceback" not in error and "OSError" not in error and "Exception ignored" not in error
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("gone", ["stdout", "stderr", "both"])
+def test_a_training_whose_output_nobody_reads_any_more_ends_as_any_other(finished, tmp_path, gone):
+    run = tmp_path / "run"
+    running = start(run)
+    while "Run directory" not in running.stdout.readline():  # where the training begins
+        pass
+    for name in ("stdout", "stderr"):
+        if gone in (name, "both"):
+            getattr(running, name).close()
+            setattr(running, name, None)
+    _, error = running.communicate(timeout=120)
+    assert running.returncode == 0 and "Traceback" not in (error or "")
+    assert_same_run(finished["gctd3"], run)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("settings", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}])
+def test_a_terminal_that_shows_ascii_only(tmp_path, settings):
+    call = [sys.executable, "-m", "gctd3.train", *tiny(tmp_path / "run")]
+    environment = {**os.environ, "PYTHONUTF8": "0", **settings}
+    done = subprocess.run(call, capture_output=True, env=environment)
+    assert done.returncode == 0 and b"Traceback" not in done.stderr
+    assert b"+-" in done.stdout and done.stdout.isascii()
+
+
+def test_a_result_is_shown_on_a_terminal_that_shows_ascii_only(tmp_path, monkeypatch):
+    content = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(content, encoding="ascii"))
+    train(tmp_path / "run")
+    sys.stdout.flush()
+    assert re.search(rb"return -?[\d.]+ \+- [\d.]+", content.getvalue())
 
 
 @pytest.mark.nightly
@@ -173,7 +228,8 @@ def killed_before(run, flushes):
     code = DYING.format(left=flushes, arguments=tiny(run, OFTEN))
     killed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert killed.returncode == 9, killed.stderr
-    return re.sub(r"[\d-]+", "-", re.search(r"Died before .*/(.*)", killed.stdout)[1])
+    name = re.search(r"Died before .*/(.*)", killed.stdout)[1]
+    return re.sub(r"[\d-]+", "-", re.sub(r"\.[0-9a-f]{16}\.tmp$", ".tmp", name))
 
 
 def assert_goes_on(whole, run, *overrides):

@@ -12,8 +12,16 @@ from resuming import TIMED, StopAfter, assert_same_run, stopped
 from running import TINY, Recorded, command, rows, train
 
 from gctd3.config.build import build
+from gctd3.runs.load import load_policy
 from gctd3.training.checkpoint import Checkpoints
-from gctd3.training.saved_configuration import changed, command_line, load_config, load_settings, save_config
+from gctd3.training.saved_configuration import (
+    changed,
+    changes_of_arithmetic,
+    command_line,
+    load_config,
+    load_settings,
+    save_config,
+)
 
 ALGORITHMS = ("gctd3", "td3", "ddpg", "sac")
 # The state of a backend is the same for all algorithms, and that of an algorithm is tested by itself as well.
@@ -219,6 +227,102 @@ def test_a_damaged_checkpoint_is_passed_over(finished, tmp_path, capsys):
     assert command("train", f"resume={part}") == 2
     assert "checkpoints in" in capsys.readouterr().err
     assert before.name < newest.name
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_the_last_word_counts_for_every_setting_that_may_change(tmp_path, first):
+    """Whether a setting stood on the first command line or not, and however often it goes to and fro."""
+    fro = ["keep_checkpoints=2", "time_limit=1", "logger=csv", "stop_when.evaluations=2", "threads=1", "device=cpu"]
+    to = ["keep_checkpoints=5", "time_limit=2", "logger=none", "stop_when.evaluations=3", "threads=2", "device=cuda"]
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        line = fro if first else []
+        save_config(tmp_path, compose("config", line), line)
+        for line in (to, fro, to, [*to, *fro], fro, to):
+            save_config(tmp_path, *changed(tmp_path, "config", line))
+            saved = load_config(tmp_path)
+            for item in dict(word.split("=") for word in line).items():
+                assert str(OmegaConf.select(saved, item[0])) == item[1]
+
+
+def test_a_share_of_the_cores_does_not_outlast_a_word(tmp_path):
+    """Runs side by side get threads that no command line names."""
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        config = compose("config", [])
+        OmegaConf.update(config, "threads", 1)
+        save_config(tmp_path, config, [])
+        assert changed(tmp_path, "config", ["keep_checkpoints=3"])[0].threads == 1
+        assert changed(tmp_path, "config", ["threads=null"])[0].threads is None
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("threads=2", "threads 1 -> 2"),
+        ("threads=null", "threads 1 -> None"),
+        ("env.threads=2", None),
+        ("logger=csv", None),
+    ],
+)
+def test_a_setting_that_changes_numbers_is_named(tmp_path, change, said):
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        save_config(tmp_path, compose("config", ["threads=1"]), ["threads=1"])
+        before, (after, _) = load_config(tmp_path), changed(tmp_path, "config", [change])
+    line = changes_of_arithmetic(before, after)
+    assert line is None if said is None else line.startswith(f"{said}: ")
+
+
+def damage_manifest(best):
+    (best / "manifest.json").write_text("{")
+
+
+def damage_policy(best):
+    (best / "policy.safetensors").write_bytes(b"0")
+
+
+@pytest.mark.parametrize("damage", [shutil.rmtree, damage_manifest, damage_policy])
+def test_a_lost_best_policy_is_noticed_and_replaced(finished, tmp_path, capsys, damage):
+    run = finished.copy("gctd3", tmp_path / "run")
+    (best,) = (run / "checkpoints").glob("best-*")
+    damage(best)
+    capsys.readouterr()
+    assert command("train", f"resume={run}", "total_frames=320", "threads=2") == 0
+    said = capsys.readouterr()
+    assert f"of {int(best.name[5:]):,} steps, is lost" in said.err and str(run / "checkpoints") in said.err
+    assert "threads 1 -> 2: from here on" in said.out
+    assert load_policy(run) is not None
+    assert Checkpoints(run).newest()[0]["best"]["frames"] == 320
+
+
+def test_a_best_policy_that_is_made_again_is_not_lost(finished, tmp_path, capsys):
+    """The last one came after the checkpoint, and the one before was deleted for it."""
+    whole, run = finished["gctd3"], stopped(tmp_path / "run", 128)
+    for old in (run / "checkpoints").glob("best-*"):
+        old.rename(old.with_name("best-000000000160"))
+    capsys.readouterr()
+    assert command("train", f"resume={run}") == 0
+    assert "lost" not in capsys.readouterr().err
+    assert rows(whole, drop=TIMED) == rows(run, drop=TIMED)
+
+
+@pytest.mark.parametrize("place", ["checkpoints/step-000000000240", "checkpoints/replay", "checkpoints", ".hydra"])
+def test_a_link_in_a_run_is_refused_by_its_path(finished, tmp_path, capsys, place):
+    """What a resumed run deletes and writes must be its own."""
+    run = finished.copy("gctd3", tmp_path / "run")
+    elsewhere = (run / place).rename(tmp_path / "elsewhere")
+    (elsewhere / "precious").write_text("precious")
+    (run / place).symlink_to(elsewhere)
+    before = sorted(elsewhere.rglob("*"))
+    capsys.readouterr()
+    assert command("train", f"resume={run}", "total_frames=320") == 2
+    error = capsys.readouterr().err
+    assert f"{run / place} is a symbolic link, to {elsewhere}" in error and "Traceback" not in error
+    assert sorted(elsewhere.rglob("*")) == before
+
+
+def test_a_run_may_be_reached_by_a_link(finished, tmp_path):
+    run = finished.copy("gctd3", tmp_path / "run")
+    (tmp_path / "latest").symlink_to(run)
+    assert command("train", f"resume={tmp_path / 'latest'}", "total_frames=320") == 0
 
 
 def test_a_sweep_goes_on_where_it_stopped(finished, tmp_path):

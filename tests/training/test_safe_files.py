@@ -1,5 +1,6 @@
 """Files of a run are data: no code in any of them is executed."""
 
+import contextlib
 import os
 import pickle
 import re
@@ -15,9 +16,19 @@ from omegaconf import OmegaConf
 from running import command, tiny, train
 
 import gctd3
+from gctd3 import files
 from gctd3.config.build import again, packages
 from gctd3.errors import RunError
-from gctd3.files import checksum, load_tree, new_directory, new_file, read_manifest, write_manifest
+from gctd3.files import (
+    checksum,
+    load_tree,
+    new_directory,
+    new_file,
+    read_manifest,
+    remove_leftovers,
+    write_manifest,
+    write_text,
+)
 from gctd3.runs.load import load_policy
 from gctd3.training.saved_configuration import load_settings
 
@@ -204,16 +215,103 @@ def test_nothing_in_the_library_could():
             assert not re.search(yaml_load, line), f"{source}:{number}: {line}"
 
 
-def test_a_directory_that_a_killed_process_left_is_made_anew(tmp_path):
+def test_a_directory_that_a_killed_process_left_is_not_used_and_can_be_removed(tmp_path):
     """The half-written directory of a write that was killed is neither in the way nor in the result."""
-    left = tmp_path / ".step-1.tmp"
-    left.mkdir()
-    (left / "torn").write_text("half")
+    with contextlib.suppress(KeyboardInterrupt), new_directory(tmp_path / "step-1") as torn:
+        (torn / "torn").write_text("half")
+        shutil.copytree(torn, tmp_path / "copy")
+        raise KeyboardInterrupt
+    left = (tmp_path / "copy").rename(torn)
     with new_directory(tmp_path / "step-1") as aside:
-        assert aside == left
+        assert aside != left
         (aside / "whole").write_text("all")
-    assert [path.name for path in tmp_path.iterdir()] == ["step-1"]
     assert [path.name for path in (tmp_path / "step-1").iterdir()] == ["whole"]
+    remove_leftovers(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["step-1"]
+
+
+def names_of_writes(monkeypatch):
+    """Note the name beside a file under which its content is written."""
+    seen, token = [], files.secrets.token_hex
+
+    def noting(count):
+        seen.append(token(count))
+        return seen[-1]
+
+    monkeypatch.setattr(files.secrets, "token_hex", noting)
+    return seen
+
+
+def test_a_name_for_writing_cannot_be_known_before(tmp_path, monkeypatch):
+    seen = names_of_writes(monkeypatch)
+    for _ in range(3):
+        write_text(tmp_path / "evaluation.json", "{}")
+        with new_directory(tmp_path / "new"):
+            pass
+        (tmp_path / "new").rmdir()
+    assert len(set(seen)) == len(seen) == 6
+    assert all(len(bytes.fromhex(token)) >= 8 for token in seen)
+
+
+@pytest.mark.parametrize("kind", ["file", "directory"])
+@pytest.mark.parametrize("write", ["text", "directory"])
+def test_a_link_under_the_name_for_writing_is_not_followed(tmp_path, monkeypatch, kind, write):
+    """Even if somebody guessed the name, what the link points to stays as it was."""
+    victim = tmp_path / "victim"
+    if kind == "file":
+        victim.write_text("precious")
+    else:
+        victim.mkdir()
+        (victim / "precious").write_text("precious")
+    monkeypatch.setattr(files.secrets, "token_hex", lambda count: "guessed")
+    (tmp_path / f".out.guessed{files.ASIDE}").symlink_to(victim)
+    with pytest.raises(FileExistsError):
+        if write == "text":
+            write_text(tmp_path / "out", "new")
+        else:
+            with new_directory(tmp_path / "out") as aside:
+                (aside / "new").write_text("new")
+    kept = victim if kind == "file" else victim / "precious"
+    assert kept.read_text() == "precious"
+    assert not (tmp_path / "out").exists() and (kind == "file" or len(list(victim.iterdir())) == 1)
+
+
+def test_a_file_that_is_a_link_is_replaced_and_its_target_stays(tmp_path):
+    (tmp_path / "precious").write_text("precious")
+    (tmp_path / "evaluation.json").symlink_to(tmp_path / "precious")
+    write_text(tmp_path / "evaluation.json", "{}")
+    assert (tmp_path / "precious").read_text() == "precious"
+    assert (tmp_path / "evaluation.json").read_text() == "{}" and not (tmp_path / "evaluation.json").is_symlink()
+
+
+def test_removing_a_link_leaves_what_it_points_to(tmp_path):
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "file").touch()
+    (tmp_path / f".link{files.ASIDE}").symlink_to(tmp_path / "kept")
+    remove_leftovers(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"] and (tmp_path / "kept" / "file").exists()
+
+
+def test_files_are_written_in_one_place_only():
+    """Every other way to open a file for writing would follow a link that somebody else has put there."""
+    writing = r"\.write_(text|bytes)\(|\bopen\([^)]*[\"'][wax]b?\+?[\"']|O_WRONLY|\bmkstemp\b"
+    allowed = {
+        # Directories and files that new_directory or new_file has just made.
+        ("files.py", 'path.write_text(json.dumps(whole, sort_keys=True, indent=1), encoding="utf-8")'),
+        ("files.py", "aside.write_bytes(content)"),
+        ("files.py", "os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))"),
+        ("viz/film.py", "aside.write_bytes(gif(frames, fps))"),
+        ("runs/draw.py", 'with new_file(out) as aside, aside.open("wb") as file:'),
+        # A run's own log, after refuse_links.
+        ("training/session.py", '(run / LOG).open("a", encoding="utf-8", buffering=1) as log,'),
+    }
+    package = Path(gctd3.__file__).parent
+    found = set()
+    for source in package.rglob("*.py"):
+        for line in source.read_text(encoding="utf-8").splitlines():
+            if re.search(writing, line) and "os.devnull" not in line:
+                found.add((source.relative_to(package).as_posix(), line.strip()))
+    assert found == allowed
 
 
 @pytest.mark.parametrize("begun", [True, False])
