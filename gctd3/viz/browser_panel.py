@@ -19,6 +19,7 @@ from gctd3.errors import GCTD3Error
 from gctd3.evaluation.recorder import total_mass
 from gctd3.viz.film import MARKS, start_point
 from gctd3.viz.live_session import LiveWalk, Moment
+from gctd3.viz.scenery import with_scenery
 
 FRAME = 1 / 30  # between pictures (s)
 PLOT = 0.2  # between traces (s)
@@ -128,7 +129,7 @@ class Panel:
         self.server.scene.set_up_direction("+z")
         turn = live.robot.base.frame.T
         self.server.initial_camera.position, self.server.initial_camera.look_at = turn @ _CAMERA, turn @ _AT
-        self._scene = mjviser.ViserMujocoScene(self.server, live.robot.model, num_envs=1)
+        self._scene = mjviser.ViserMujocoScene(self.server, with_scenery(live.robot.model), num_envs=1)
         self._scene.show_contact_points = True
         self._origin = start_point(live.robot)
         self._metres: dict[int, tuple[viser.SceneNodeHandle, ...]] = {}
@@ -245,9 +246,13 @@ class Panel:
         place = self._origin + metre * forward + 2e-3 * up
         # Children of the ground's scene node, which moves when the camera follows.
         name, ends = f"/fixed_bodies/metre_{metre}", np.stack([place - 0.6 * side, place + 0.6 * side])
-        line = self.server.scene.add_line_segments(f"{name}/line", ends[None], (60, 64, 72), thickness=0.02)
+        # A dark line on a wider bright one, so that it is seen on any ground.
+        lines = [
+            self.server.scene.add_line_segments(f"{name}/{part}", (ends + above * up)[None], colour, thickness=wide)
+            for part, above, colour, wide in (("edge", 0.0, (232, 234, 236), 0.032), ("line", 1e-3, (60, 64, 72), 0.02))
+        ]
         words = self.server.scene.add_label(f"{name}/words", f"{metre} m", position=place - 0.7 * side)
-        return line, words
+        return *lines, words
 
     def _words(self, now: Moment) -> str:
         state = "paused" if self.paused else "reached the finish" if now.success else "ended" if now.done else "walks"
