@@ -11,6 +11,7 @@ from gctd3.errors import RunError
 from gctd3.robots.command_line import robot_file
 from gctd3.training.saved_configuration import CONFIG, HARMLESS, choices
 from gctd3.training.session import train
+from gctd3.training.sweep import end
 
 
 def main() -> None:
@@ -25,7 +26,7 @@ def main() -> None:
             with contextlib.suppress(RunError):
                 sys.argv[1:1] = choices(Path(resumed[-1]), sys.argv[1:])
         sys.argv.append(f"hydra.run.dir='{resumed[-1] if exists else '.'}'")
-    command("config", train, robot_file, HARMLESS[:-1] if going_on else ())
+    command("config", train, robot_file, HARMLESS[:-1] if going_on else (), end)
 
 
 if __name__ == "__main__":

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import re
+from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hydra import compose
 from hydra.errors import MissingConfigException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from omegaconf.resolvers import oc
 from yaml import YAMLError
 
 import gctd3
@@ -55,7 +58,7 @@ def find_run(run: str | Path | None) -> Path:
 
 
 def load_config(run: str | Path) -> DictConfig:
-    """Load the resolved configuration of a run.
+    """Load the resolved configuration of a run; every ``${...}`` in it is text, and is not resolved.
 
     Raises:
         RunError: If ``run`` is not the directory of a run.
@@ -72,7 +75,22 @@ def load_config(run: str | Path) -> DictConfig:
         raise _unusable(file, error) from error
     if not isinstance(config, DictConfig):
         raise RunError(f"{file} does not hold a mapping.")
-    return config
+    return OmegaConf.create(as_data(OmegaConf.to_container(config)))
+
+
+def as_data(value: Any) -> Any:  # noqa: ANN401 - any nesting
+    """Escape every ``${`` in the texts of a nesting, so that OmegaConf takes it for text.
+
+    A run may be somebody else's, and ``${oc.env:NAME}`` would read the environment here.
+    """
+    if isinstance(value, dict):
+        return {key: as_data(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [as_data(item) for item in value]
+    # Of backslashes before ``${`` OmegaConf keeps half, and an odd one escapes.
+    if not isinstance(value, str) or "${" not in value:
+        return value
+    return re.sub(r"(\\*)\$\{", lambda match: match[1] * 2 + "\\${", value)
 
 
 def load_settings(run: str | Path) -> TrainSettings:
@@ -97,7 +115,7 @@ def save_config(run: Path, config: DictConfig, overrides: Sequence[str]) -> None
     """Write the resolved configuration and the command line that it came from."""
     (run / CONFIG).parent.mkdir(parents=True, exist_ok=True)
     write_text(run / CONFIG, OmegaConf.to_yaml(config, resolve=True))
-    write_text(run / OVERRIDES, OmegaConf.to_yaml(OmegaConf.create(list(overrides))))
+    write_text(run / OVERRIDES, OmegaConf.to_yaml(OmegaConf.create(as_data(list(overrides))), resolve=True))
 
 
 def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig, list[str]]:
@@ -122,8 +140,9 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
     new = line[len(first) :]
     if not new:
         return config, first
-    was, known = _composed(root, first)
-    before, after = flat(was), flat(compose(root, [*known, *new]))
+    with _without_environment():
+        was, known = _composed(root, first)
+        before, after = flat(was), flat(compose(root, [*known, *new]))
     difference = {key: after.get(key) for key in {*before, *after} if before.get(key) != after.get(key)}
     forbidden = sorted(key for key in difference if not _harmless(key))
     if forbidden:
@@ -136,10 +155,21 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
         parent, _, name = key.rpartition(".")
         mapping = OmegaConf.select(config, parent) if parent else config
         if key in after:
-            OmegaConf.update(config, key, value, force_add=True)
+            OmegaConf.update(config, key, as_data(value), force_add=True)
         elif isinstance(mapping, DictConfig):
             mapping.pop(name, None)
     return config, line if difference else first
+
+
+@contextlib.contextmanager
+def _without_environment() -> Iterator[None]:
+    """Leave ``${oc.env:NAME}`` as it stands: the first command line of a run may be somebody else's."""
+    OmegaConf.clear_resolver("oc.env")
+    OmegaConf.register_new_resolver("oc.env", lambda name, *default: f"${{oc.env:{name}}}")
+    try:
+        yield
+    finally:
+        OmegaConf.register_new_resolver("oc.env", oc.env, replace=True)
 
 
 def _in_force(item: str, line: Sequence[str]) -> bool:
@@ -192,7 +222,8 @@ def command_line(run: Path) -> list[str]:
         items = OmegaConf.load(run / OVERRIDES)
         if not isinstance(items, ListConfig):
             raise TypeError("it does not hold a list")
-        return [str(item) for item in items]
+        plain: Any = OmegaConf.to_container(items)
+        return [str(item) for item in plain]
     except (OSError, YAMLError, OmegaConfBaseException, UnicodeDecodeError, TypeError) as error:
         raise _unusable(run / OVERRIDES, error) from error
 
@@ -210,7 +241,9 @@ def flat(config: DictConfig, prefix: str = "") -> dict[str, object]:
             values |= flat(mapping, f"{prefix}{key}.")
         else:
             value = config[key]
-            values[f"{prefix}{key}"] = OmegaConf.to_container(value) if OmegaConf.is_config(value) else value
+            values[f"{prefix}{key}"] = (
+                OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+            )
     return values
 
 
