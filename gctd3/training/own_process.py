@@ -36,13 +36,14 @@ def in_own_process(function: Callable[[Any], Any], config: Any, run: Path, on_or
         RunError: If the new process was killed.
         Exception: What the function raised.
     """
+    import cloudpickle
     from hydra.core.singleton import Singleton
-    from joblib.externals import cloudpickle
 
     with tempfile.TemporaryDirectory(prefix="gctd3-run-") as folder:
         task, outcome = Path(folder) / "task", Path(folder) / "outcome"
         content = (Singleton.get_state(), function, config, str(run), on_orphaned, os.getpid())
-        task.write_bytes(cloudpickle.dumps(content))
+        # Where modules are found comes first: the rest may need them.
+        task.write_bytes(cloudpickle.dumps((sys.path, cloudpickle.dumps(content))))
         call = [sys.executable, "-m", __name__, str(task), str(outcome)]
         code = subprocess.call(call)
         if outcome.is_file():
@@ -58,14 +59,15 @@ def in_own_process(function: Callable[[Any], Any], config: Any, run: Path, on_or
 
 
 def _main(task: Path, outcome: Path) -> None:
+    import cloudpickle
     from hydra.core.singleton import Singleton
     from hydra.core.utils import setup_globals
-    from joblib.externals import cloudpickle
 
     # The process that began the sweep decides when runs end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     setup_globals()
-    state, function, config, run, on_orphaned, parent = cloudpickle.loads(task.read_bytes())
+    sys.path[:], content = cloudpickle.loads(task.read_bytes())
+    state, function, config, run, on_orphaned, parent = cloudpickle.loads(content)
     threading.Thread(target=_watch, args=(parent, run, *on_orphaned), daemon=True).start()
     Singleton.set_state(state)
     try:
