@@ -7,14 +7,16 @@ imported: objects of other libraries come as arguments.
 
 from __future__ import annotations
 
+import contextlib
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from gctd3.errors import GCTD3Error
 
 TORCH, TENSORDICT, TORCHRL = "torch 2.13.0", "tensordict 0.14.3", "torchrl 0.14.1"
 OMEGACONF, HYDRA = "omegaconf 2.3.1", "hydra-core 1.3.8"
+VISER = "viser 1.1.1"
 
 
 class CompatError(GCTD3Error, RuntimeError):
@@ -283,3 +285,47 @@ def complete_compositions(complete: Callable[[Any], None]) -> None:
         return config
 
     setattr(ConfigLoaderImpl, name, completed)
+
+
+# viser
+
+
+def control_of(server: Any, uuid: str) -> object:  # noqa: ANN401 - a viser.ViserServer
+    """Find a control of a viser server's page by the id that browsers know it by; ``None`` if there is none.
+
+    Private: ``GuiApi._gui_input_handle_from_uuid`` (viser 1.1.1).
+    """
+    controls: Mapping[str, object] = read(server.gui, "_gui_input_handle_from_uuid", VISER)
+    return controls.get(uuid)
+
+
+@contextlib.contextmanager
+def served_with(change: Callable[[dict[str, Any]], dict[str, Any]]) -> Iterator[None]:
+    """Let a viser server that starts within the block call ``websockets.asyncio.server.serve`` with other arguments.
+
+    viser hands none of them on. All names are public; that viser calls this function is not (viser 1.1.1).
+
+    Args:
+        change: Function of the arguments that have names; it returns those to use.
+
+    Raises:
+        CompatError: If nothing was served within the block: a server that started would be without the change.
+    """
+    from websockets.asyncio import server
+
+    serve, used = server.serve, []
+
+    def changed(*arguments: Any, **named: Any) -> Any:  # noqa: ANN401 - websockets'
+        used.append(True)
+        return serve(*arguments, **change(named))
+
+    server.serve = changed  # type: ignore[assignment, misc]
+    try:
+        yield
+    finally:
+        server.serve = serve  # type: ignore[misc]
+    if not used:
+        raise CompatError(
+            f"viser does not serve by websockets.asyncio.server.serve as {VISER} does; install that version, or mend "
+            "gctd3/compat.py."
+        )

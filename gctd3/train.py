@@ -12,6 +12,7 @@ from gctd3.errors import RunError
 from gctd3.robots.command_line import robot_file
 from gctd3.training.saved_configuration import CONFIG, HARMLESS, choices
 from gctd3.training.session import train
+from gctd3.training.sweep import end
 
 
 def main() -> None:
@@ -28,7 +29,7 @@ def main() -> None:
         # Hydra would read an interpolation there.
         itself = exists and "${" not in resumed[-1]
         sys.argv.append(f"hydra.run.dir={quoted(resumed[-1]) if itself else '.'}")
-    command("config", train, robot_file, HARMLESS[:-1] if going_on else ())
+    command("config", train, robot_file, HARMLESS[:-1] if going_on else (), end)
 
 
 if __name__ == "__main__":

@@ -17,9 +17,9 @@ SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swifts
 
 
 @contextlib.contextmanager
-def chromium():
+def chromium(*more):
     # Imported where a page is opened: collecting the tests would wait for it.
     with importlib.import_module("playwright.sync_api").sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=PROGRAM, args=["--no-sandbox", *SOFTWARE])
+        browser = playwright.chromium.launch(executable_path=PROGRAM, args=["--no-sandbox", *SOFTWARE, *more])
         yield browser
         browser.close()

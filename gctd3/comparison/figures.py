@@ -14,6 +14,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
@@ -63,6 +64,9 @@ class Gallery:
 
     def add(self, figure: Figure, name: str, title: str, caption: str) -> Picture:
         """Save a figure as SVG and PNG, and return it as a picture for the page."""
+        # Names of runs and joints are no formulas of matplotlib's.
+        for text in figure.findobj(Text):
+            text.set_parse_math(False)
         with matplotlib.rc_context({**STYLE, "svg.hashsalt": name}):
             pixels = io.BytesIO()
             figure.savefig(pixels, format="png", dpi=160, facecolor="white")

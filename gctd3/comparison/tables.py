@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -27,6 +28,8 @@ PAPER = {
 }
 # Columns that a page does not treat as numbers.
 UNIT, MEANING, OUTCOME, DIRECTORY = "unit", "what it is", "outcome", "directory"
+TEXTS = ("", "key", UNIT, MEANING, OUTCOME, DIRECTORY)  # columns without numbers; the first one names the row
+FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")  # beginnings of what a spreadsheet computes
 
 
 @dataclass(frozen=True)
@@ -48,10 +51,28 @@ class Table:
     rows: Sequence[Sequence[str]]
 
     def csv(self) -> str:
-        """Return the table as the text of a CSV file."""
+        """Return the table as the text of a CSV file, for programs and spreadsheets.
+
+        A number stands without separators of thousands, and a cell without a value is empty. A text that a spreadsheet
+        would compute, since it begins with ``=``, ``+``, ``-``, ``@``, a tab or a line break, has an apostrophe before
+        it, which spreadsheets take for the mark of a text.
+        """
         text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows([self.head, *self.rows])
+        rows = [
+            [_plain(cell, column in TEXTS) for column, cell in zip(self.head, row, strict=True)] for row in self.rows
+        ]
+        csv.writer(text, lineterminator="\n").writerows([[_plain(name, True) for name in self.head], *rows])
         return text.getvalue()
+
+
+def _plain(cell: str, is_text: bool) -> str:
+    """Return a cell of a CSV file: a number that programs read, or a text that nothing computes."""
+    if not is_text and cell == "-":
+        return ""
+    number = cell if is_text else cell.replace(",", "")
+    if re.fullmatch(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?", number):
+        return number
+    return f"'{cell}" if cell.startswith(FORMULA) else cell
 
 
 def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: bool) -> Table:

@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from traceback import walk_tb
 from typing import NoReturn
@@ -46,6 +46,7 @@ def command(
     task: Callable[[DictConfig], object],
     rewrite: Callable[[list[str]], list[str]] = list,
     may_change: Sequence[str] = (),
+    at_end: Callable[[BaseException | None], None] | None = None,
 ) -> None:
     """Run ``task`` on the configuration that the command line asks for; exit with 2 after a message if it is wrong.
 
@@ -54,11 +55,12 @@ def command(
         task: Function of the resolved configuration; its return value goes to Hydra's sweeper.
         rewrite: Function of the arguments that returns those for Hydra.
         may_change: Keys that the command line may change, if it continues a run.
+        at_end: Function to call in the end, however that comes, with the error if there is one.
     """
     heard = Interruption()
     prepare_output()
     try:
-        with heard.listening():
+        with heard.listening(), _ending(at_end):
             _run(config, task, rewrite, may_change)
     except BaseException as error:
         # An import that a signal broke off raises what it likes.
@@ -67,6 +69,18 @@ def command(
         with contextlib.suppress(OSError):  # a terminal that is gone
             print("\nInterrupted.", file=sys.stderr)
         raise SystemExit(heard.exit_code) from None
+
+
+@contextlib.contextmanager
+def _ending(at_end: Callable[[BaseException | None], None] | None) -> Iterator[None]:
+    try:
+        yield
+    except BaseException as error:
+        if at_end is not None:
+            at_end(error)
+        raise
+    if at_end is not None:
+        at_end(None)
 
 
 def _run(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
 from collections.abc import Mapping
@@ -168,7 +170,12 @@ def trace(episode: Episode, robot: Robot, dt: float) -> str:
     time = dt * np.arange(1, len(episode.position) + 1)
     columns = [time, episode.position, episode.height, motion.velocity, *motion.angles.T, *motion.velocities.T]
     rows = zip(*columns, *episode.feet_down.T.astype(int), strict=True)
-    return "\n".join([",".join(head), *(",".join(f"{value:.6g}" for value in row) for row in rows)]) + "\n"
+    text = io.StringIO()
+    # Names may hold commas and quotes.
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows([f"{value:.6g}" for value in row] for row in rows)
+    return text.getvalue()
 
 
 def table(report: dict[str, object]) -> str:

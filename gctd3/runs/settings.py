@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from gctd3.errors import ConfigError, check_between, check_seed
 from gctd3.evaluation.settings import EpisodeSettings, Perturbations
 from gctd3.tasks.reward import Reward
+from gctd3.viz.hosts import HOST
 
 MOST_PIXELS = 16_384  # of a frame's side
 
@@ -98,6 +100,9 @@ class ViewSettings:
             too.
         host: Address to listen at; 0.0.0.0 for every machine that can reach this one: whoever can see it can steer it.
         port: Port to listen at; 0 for any that is free.
+        allowed_hosts: Further names under which browsers reach the viewer, as that of a proxy: ``name`` with any port,
+            or ``name:port``. Without, it answers to localhost, 127.0.0.1, [::1], ``host`` and this machine's address,
+            each with ``port``, and refuses pages of other sites.
         browser: Open the page in a browser here, where there is a screen.
     """
 
@@ -107,8 +112,12 @@ class ViewSettings:
     endless: bool = True
     host: str = "localhost"
     port: int = 8080
+    allowed_hosts: Sequence[str] = ()
     browser: bool = True
 
     def __post_init__(self) -> None:
         check_seed("seed", self.seed)
         check_between(self, 0, 65_535, "port")
+        for name in self.allowed_hosts:
+            if not HOST.fullmatch(name):
+                raise ConfigError(f"allowed_hosts must hold names as example.org or example.org:8080, got {name!r}.")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import logging
 import os
 import platform
 import socket
@@ -87,15 +86,14 @@ def view(settings: ViewSettings) -> None:
     names = choices(settings.run, settings.runs)
     first = open_walk(names[0], settings)
     import rich
-    import viser
 
     from gctd3.viz.browser_panel import Panel
+    from gctd3.viz.viewer_server import serve
 
-    # One robot is too little work to share; and viser's and its server's announcements are made below.
+    # One robot is too little work to share; and viser's announcements are made below.
     torch.set_num_threads(1)
     rich.reconfigure(quiet=True)
-    logging.getLogger("websockets").setLevel(logging.WARNING)
-    server = viser.ViserServer(host=settings.host, port=settings.port, label="gctd3", verbose=False)
+    server = serve(settings.host, settings.port, settings.allowed_hosts)
     try:
         loaded = {names[0]: first}
         panel = Panel(server, lambda run: loaded.pop(run, None) or open_walk(run, settings), names, settings.seed)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from hydra import compose
 from hydra.errors import MissingConfigException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from omegaconf.resolvers import oc
 from yaml import YAMLError
 
 import gctd3
@@ -59,7 +61,7 @@ def find_run(run: str | Path | None) -> Path:
 
 
 def load_config(run: str | Path) -> DictConfig:
-    """Load the resolved configuration of a run.
+    """Load the resolved configuration of a run; every ``${...}`` in it is text, and is not resolved.
 
     Raises:
         RunError: If ``run`` is not the directory of a run.
@@ -71,8 +73,7 @@ def load_config(run: str | Path) -> DictConfig:
     if not file.is_file():
         raise RunError(f"{directory} is not a run: it has no {CONFIG}. gctd3.train makes runs.")
     try:
-        # A run is data, perhaps somebody else's: what looks like an interpolation is a text.
-        config = OmegaConf.create(_texts(OmegaConf.to_container(OmegaConf.load(file), resolve=False)))
+        config = OmegaConf.create(as_data(OmegaConf.to_container(OmegaConf.load(file))))
     except (OmegaConfBaseException, YAMLError, UnicodeDecodeError, OSError, ValueError) as error:
         raise _unusable(file, error) from error
     if not isinstance(config, DictConfig):
@@ -80,12 +81,15 @@ def load_config(run: str | Path) -> DictConfig:
     return config
 
 
-def _texts(value: Any) -> Any:  # noqa: ANN401 - any nesting
-    """Return a configuration of which OmegaConf resolves nothing."""
+def as_data(value: Any) -> Any:  # noqa: ANN401 - any nesting
+    """Escape every ``${`` in the texts of a nesting, so that OmegaConf takes it for text.
+
+    A run may be somebody else's, and ``${oc.env:NAME}`` would read the environment here.
+    """
     if isinstance(value, dict):
-        return {key: _texts(item) for key, item in value.items()}
+        return {key: as_data(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_texts(item) for item in value]
+        return [as_data(item) for item in value]
     return escaped(value) if isinstance(value, str) else value
 
 
@@ -111,7 +115,7 @@ def save_config(run: Path, config: DictConfig, overrides: Sequence[str]) -> None
     """Write the resolved configuration and the command line that it came from."""
     (run / CONFIG).parent.mkdir(parents=True, exist_ok=True)
     write_text(run / CONFIG, OmegaConf.to_yaml(config, resolve=True))
-    write_text(run / OVERRIDES, OmegaConf.to_yaml(OmegaConf.create(list(overrides))))
+    write_text(run / OVERRIDES, OmegaConf.to_yaml(OmegaConf.create(as_data(list(overrides))), resolve=True))
 
 
 def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig, list[str]]:
@@ -136,8 +140,9 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
     new = line[len(first) :]
     if not new:
         return config, first
-    was, known = _composed(root, first)
-    before, after = flat(was), flat(compose(root, [*known, *new]))
+    with _without_environment():
+        was, known = _composed(root, first)
+        before, after = flat(was), flat(compose(root, [*known, *new]))
     difference = {key: after.get(key) for key in {*before, *after} if before.get(key) != after.get(key)}
     # A run beside others has its share of the cores in its configuration, and nothing of it on its command line.
     kept, named = flat(config), [_place(item) for item in new]
@@ -155,7 +160,7 @@ def changed(run: Path, root: str, overrides: Sequence[str]) -> tuple[DictConfig,
         parent, _, name = key.rpartition(".")
         mapping = OmegaConf.select(config, parent) if parent else config
         if key in after:
-            OmegaConf.update(config, key, value, force_add=True)
+            OmegaConf.update(config, key, as_data(value), force_add=True)
         elif isinstance(mapping, DictConfig):
             mapping.pop(name, None)
     return config, line if difference else first
@@ -168,6 +173,17 @@ def changes_of_arithmetic(before: DictConfig, after: DictConfig) -> str | None:
     if not changes:
         return None
     return f"{', '.join(changes)}: from here on its numbers are not those of a run that was left alone."
+
+
+@contextlib.contextmanager
+def _without_environment() -> Iterator[None]:
+    """Leave ``${oc.env:NAME}`` as it stands: the first command line of a run may be somebody else's."""
+    OmegaConf.clear_resolver("oc.env")
+    OmegaConf.register_new_resolver("oc.env", lambda name, *default: f"${{oc.env:{name}}}")
+    try:
+        yield
+    finally:
+        OmegaConf.register_new_resolver("oc.env", oc.env, replace=True)
 
 
 def _in_force(item: str, line: Sequence[str]) -> bool:
@@ -220,7 +236,8 @@ def command_line(run: Path) -> list[str]:
         items = OmegaConf.load(run / OVERRIDES)
         if not isinstance(items, ListConfig):
             raise TypeError("it does not hold a list")
-        return [str(item) for item in OmegaConf.to_container(items, resolve=False) or ()]
+        plain: Any = OmegaConf.to_container(items)
+        return [str(item) for item in plain]
     except (OSError, YAMLError, OmegaConfBaseException, UnicodeDecodeError, TypeError) as error:
         raise _unusable(run / OVERRIDES, error) from error
 
@@ -238,7 +255,9 @@ def flat(config: DictConfig, prefix: str = "") -> dict[str, object]:
             values |= flat(mapping, f"{prefix}{key}.")
         else:
             value = config[key]
-            values[f"{prefix}{key}"] = OmegaConf.to_container(value) if OmegaConf.is_config(value) else value
+            values[f"{prefix}{key}"] = (
+                OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+            )
     return values
 
 

@@ -18,30 +18,45 @@ from gctd3.errors import RunError
 from gctd3.files import refuse_links, remove, remove_empty, remove_leftovers, shown
 from gctd3.robots.own_copy import has_robot, keep_robot
 from gctd3.signals import StopRequest
+from gctd3.training.own_process import in_own_process
 from gctd3.training.run_lock import only_one
 from gctd3.training.saved_configuration import CONFIG, changed, changes_of_arithmetic, load_config, save_config
 from gctd3.training.saved_robot import setup_of
-from gctd3.training.sweep import share_cores, stop_file
+from gctd3.training.sweep import LOST, WATCH, lost, share_cores, stop_file
 
 LOG = "log.txt"  # output of runs side by side
+WORST = -1e9  # result of a run without a policy: below every return, and finite
 
 
 def train(config: DictConfig) -> float:
     """Check the configuration, train a policy and report the result.
 
     Returns:
-        The return of the best policy, for a sweeper to maximise; NaN if none was evaluated.
+        The return of the best policy, for a sweeper to maximise; :data:`WORST` if none was evaluated.
     """
     stop = StopRequest(stop_file())
     if stop.file is not None:
         # One of several runs of a sweep side by side: its end must not end the sweep's process.
-        return math.nan if stop else _value(_train(config, stop))
+        return WORST if stop else _beside(config, stop.file.parent)
     # Listen before the imports: one that a signal interrupts would look like a missing package.
     with stop.listening():
         best = _train(config, stop)
     if stop:
         raise SystemExit(stop.exit_code)
-    return _value(best)
+    return value(best)
+
+
+def _beside(config: DictConfig, sweep: Path) -> float:
+    """Train in a process of its own."""
+    run = Path(HydraConfig.get().runtime.output_dir)
+    if str(run) in lost(sweep):
+        raise RunError("Its process was killed. It goes on from its last checkpoint, once the sweep is continued.")
+    result: float = in_own_process(_in_own_process, config, run, (sweep / LOST, WATCH))
+    return result
+
+
+def _in_own_process(config: DictConfig) -> float:
+    return value(_train(config, StopRequest(stop_file())))
 
 
 def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
@@ -156,8 +171,10 @@ def _output(run: Path, stop: StopRequest) -> Iterator[None]:
         yield
 
 
-def _value(best: dict[str, float] | None) -> float:
-    return math.nan if best is None else best["return_mean"]
+def value(best: dict[str, float] | None) -> float:
+    """Return the result of a run for a sweeper, which is always finite."""
+    # Not NaN, at which a search ends (hydra-optuna-sweeper 1.3.0), whatever failures it allows.
+    return WORST if best is None or not math.isfinite(best["return_mean"]) else best["return_mean"]
 
 
 def _summary(best: dict[str, float] | None, run: Path, config: DictConfig, walks: bool) -> str:

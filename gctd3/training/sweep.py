@@ -1,9 +1,11 @@
-"""Runs of a sweep side by side on one machine: how they share its cores, and how they are all stopped together."""
+"""Runs of a sweep on one machine: how they share its cores, how all are stopped together, and how the sweep ends."""
 
 from __future__ import annotations
 
 import os
 import signal
+import sys
+import time
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -15,8 +17,12 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from gctd3.files import shown
 from gctd3.signals import heeded
+from gctd3.training.saved_configuration import CONFIG
 
 STOP = ".stop"  # in the sweep's directory while its runs are to end
+LOST = ".lost"  # in the sweep's directory: those of the runs whose processes were killed
+AGAIN = "GCTD3_SWEEP_WITHOUT"  # environment variable of a sweep that began again: the runs it leaves out
+WATCH = 0.5  # between looks for the process that a run belongs to (s)
 
 
 def runs_at_once(launcher: DictConfig) -> int:
@@ -53,41 +59,101 @@ def heed_no_interrupts() -> None:
 class StopTogether(Callback):
     """Let every run save itself at the first Ctrl-C or SIGTERM; a second one ends all at once.
 
-    This Hydra callback is for runs side by side; one run after another hears signals by itself.
+    This Hydra callback listens for runs side by side; one run after another hears signals by itself. Hydra (1.3.8)
+    tells no callback of the end of a sweep in which a run failed, and jobs of joblib have copies of it: see
+    :func:`end`.
     """
 
     def __init__(self) -> None:
         self.signal: int | None = None
-        self._file: Path | None = None
+        self.directory: Path | None = None
         self._before: dict[int, Any] = {}
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:  # noqa: ANN401 - Hydra's
         """Begin to listen for signals."""
+        _SWEEPS.append(self)
+        self.directory = Path(config.hydra.sweep.dir)
         launcher = config.hydra.launcher
         if runs_at_once(launcher) == 1:
             return
         # joblib calls it in every process that it starts.
         with open_dict(launcher):
             launcher.initializer = {"_target_": "hydra.utils.get_method", "path": f"{__name__}.heed_no_interrupts"}
-        self._file = Path(config.hydra.sweep.dir) / STOP
-        self._file.unlink(missing_ok=True)
+        (self.directory / STOP).unlink(missing_ok=True)
+        if AGAIN not in os.environ:
+            (self.directory / LOST).unlink(missing_ok=True)
         self._before = {number: signal.signal(number, self._heard) for number in heeded()}
 
-    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:  # noqa: ANN401 - Hydra's
-        """Stop listening for signals, and say how to continue if the sweep was stopped."""
-        if self._file is None:
-            return
+    def leave(self) -> None:
+        """Stop listening for signals."""
         for number, handler in self._before.items():
             signal.signal(number, handler)
-        self._file.unlink(missing_ok=True)
-        if self.signal is not None:
-            print(f"Continue it with the same command and {shown(f'hydra.sweep.dir={config.hydra.sweep.dir}')}")
-            raise SystemExit(128 + self.signal)
+        if self.directory is not None:
+            (self.directory / STOP).unlink(missing_ok=True)
 
     def _heard(self, number: int, frame: FrameType | None) -> None:
-        if self.signal is not None or self._file is None:
+        if self.signal is not None or self.directory is None:
             raise KeyboardInterrupt
         self.signal = number
-        self._file.parent.mkdir(parents=True, exist_ok=True)
-        self._file.touch()
+        self.directory.mkdir(parents=True, exist_ok=True)
+        (self.directory / STOP).touch()
         print("\nFinishing the steps of the runs to save them; once more leaves at once.", flush=True)
+
+
+_SWEEPS: list[StopTogether] = []  # those of this process, which is the one that began the sweep
+
+
+def end(error: BaseException | None) -> None:
+    """End a sweep, however its runs ended: say how to continue it unless all came to their end.
+
+    If a process of joblib's was killed, with which joblib gives up all others, the sweep begins again without the run
+    that it held: the others go on where their checkpoints are.
+
+    Args:
+        error: What ended the command; ``None`` if nothing did.
+
+    Raises:
+        SystemExit: With 128 and the signal's number if a signal stopped the sweep; with 2 if its processes were lost.
+    """
+    while _SWEEPS:
+        sweep = _SWEEPS.pop()
+        sweep.leave()
+        directory = sweep.directory
+        if directory is None or (error is None and sweep.signal is None):
+            continue
+        begun = any(directory.rglob(str(CONFIG)))
+        broken = type(error).__name__ == "TerminatedWorkerError"  # joblib's, which is not always installed
+        if broken and sweep.signal is None and _go_on(directory):
+            _begin_again(directory)
+        if begun:
+            print(f"Continue it with the same command and {shown(f'hydra.sweep.dir={directory}')}", flush=True)
+        if sweep.signal is not None:
+            raise SystemExit(128 + sweep.signal)
+        if broken:
+            raise SystemExit(2)
+
+
+def _go_on(directory: Path) -> bool:
+    """Name the runs whose processes were killed; tell whether there are any that were not named before."""
+    known = os.environ.get(AGAIN, "").splitlines()
+    until = time.monotonic() + 5 * WATCH
+    while not (new := [run for run in lost(directory) if run not in known]) and time.monotonic() < until:
+        time.sleep(WATCH / 2)
+    for run in new:
+        print(f"error: {shown(run)}: its process was killed; the other runs go on.", file=sys.stderr, flush=True)
+    if not new:
+        print("error: A process of the sweep was killed, and joblib ended the others.", file=sys.stderr, flush=True)
+    os.environ[AGAIN] = "\n".join([*known, *new])
+    return bool(new)
+
+
+def _begin_again(directory: Path) -> None:
+    given = any(argument.startswith("hydra.sweep.dir=") for argument in sys.orig_argv)
+    sys.stdout.flush()
+    os.execv(sys.executable, [*sys.orig_argv, *([] if given else [f"hydra.sweep.dir={directory}"])])
+
+
+def lost(directory: Path) -> list[str]:
+    """Return the directories of the runs of a sweep whose processes were killed."""
+    file = directory / LOST
+    return file.read_text(encoding="utf-8").splitlines() if file.is_file() else []

@@ -5,9 +5,10 @@ from __future__ import annotations
 import functools
 import html
 import queue
+import threading
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections import Counter, deque
+from collections.abc import Awaitable, Callable, Sequence
 
 import mjviser
 import numpy as np
@@ -18,17 +19,21 @@ from gctd3.errors import GCTD3Error
 from gctd3.evaluation.recorder import total_mass
 from gctd3.viz.film import MARKS, start_point
 from gctd3.viz.live_session import LiveWalk, Moment
+from gctd3.viz.scenery import with_scenery
 
 FRAME = 1 / 30  # between pictures (s)
 PLOT = 0.2  # between traces (s)
 TRACE = 4.0  # that traces show (s)
 REST = 1.0  # between the end of an episode and the next (s)
 SPEEDS = (0.05, 2.0)  # slowest and fastest, as multiples of real time
+WAITING = 20  # requests of one control that wait to be handled; more are left out
 PUSH = 1.0  # change of the whole robot's velocity by the strongest push (m/s)
+FASTEST = 10.0  # a robot that moves faster is not pushed (m/s)
 FRICTION = (0.05, 1.5)
 # Colours of a leg's joints, from the hip down, and of feet.
 COLOURS = ("#2f6fb5", "#d9772a", "#6b8f4e", "#8a4fa0", "#b5502f", "#4a4f57")
 _CAMERA, _AT = (0.4, -2.3, 0.25), (0.15, 0.0, -0.25)  # position and target, from the body (m)
+Listener = Callable[[object], Awaitable[None]]  # to what a browser asks for
 
 
 class Panel:
@@ -49,8 +54,10 @@ class Panel:
     ) -> None:
         self.server, self.runs, self.seed = server, list(runs), seed
         self._load = load
-        # Browsers' requests arrive in threads of their own; only the thread that runs the walk may change it.
+        # Browsers' requests arrive in the server's thread; only the thread that runs the walk may change it.
         self._wishes: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
+        self._waiting: Counter[Callable[[], object]] = Counter()
+        self._lock = threading.Lock()
         self.paused, self.speed, self._message = False, 1.0, ""
         server.gui.configure_theme(control_layout="collapsible", control_width="large", show_share_button=False)
         self._open(self.runs[0], load(self.runs[0]))
@@ -75,12 +82,24 @@ class Panel:
             time.sleep(max(0.002, min(FRAME, due - time.perf_counter())) if not self.paused else FRAME)
 
     def _grant(self) -> bool:
-        """Handle the requests of browsers; return whether there were any."""
-        asked = False
-        while not self._wishes.empty():
-            self._wishes.get()()
-            asked = True
-        return asked
+        """Handle the requests of browsers that wait; return whether there were any."""
+        waiting = self._wishes.qsize()
+        for _ in range(waiting):
+            wish = self._wishes.get()
+            with self._lock:
+                self._waiting[wish] -= 1
+                if not self._waiting[wish]:
+                    del self._waiting[wish]
+            self._attempt(wish)
+        return waiting > 0
+
+    def _attempt(self, action: Callable[[], object]) -> None:
+        """Change the walk; if that cannot be simulated, say so on the page and start anew."""
+        try:
+            action()
+        except GCTD3Error as error:
+            self._message = str(error)
+            self._reset()
 
     def _advance(self) -> float:
         """Take one control step, or start anew; return its duration (s)."""
@@ -88,7 +107,7 @@ class Panel:
         if live.now.done:
             self._reset()
             return live.control_dt
-        self._remember(live.step())
+        self._attempt(lambda: self._remember(live.step()))
         return live.control_dt + (REST * self.speed if live.now.done else 0.0)
 
     def _remember(self, now: Moment) -> None:
@@ -110,7 +129,7 @@ class Panel:
         self.server.scene.set_up_direction("+z")
         turn = live.robot.base.frame.T
         self.server.initial_camera.position, self.server.initial_camera.look_at = turn @ _CAMERA, turn @ _AT
-        self._scene = mjviser.ViserMujocoScene(self.server, live.robot.model, num_envs=1)
+        self._scene = mjviser.ViserMujocoScene(self.server, with_scenery(live.robot.model), num_envs=1)
         self._scene.show_contact_points = True
         self._origin = start_point(live.robot)
         self._metres: dict[int, tuple[viser.SceneNodeHandle, ...]] = {}
@@ -161,7 +180,8 @@ class Panel:
         self._on(payload.on_update, lambda: setattr(live, "payload", payload.value))
 
     def _push(self, impulse: viser.GuiInputHandle[float], forward: float, side: float) -> None:
-        self.live.push(forward * impulse.value, side * impulse.value)
+        if self.live.speed < FASTEST:
+            self.live.push(forward * impulse.value, side * impulse.value)
 
     def _slider(
         self, name: str, between: tuple[float, float], step: float, value: float, hint: str
@@ -170,17 +190,26 @@ class Panel:
         begin = float(np.clip(low + round((value - low) / step) * step, low, high))
         return self.server.gui.add_slider(name, min=low, max=high, step=step, initial_value=begin, hint=hint)
 
-    def _on(self, register: Callable[[Callable[[object], None]], object], wish: Callable[[], object]) -> None:
+    def _on(self, register: Callable[[Listener], object], wish: Callable[[], object]) -> None:
         """Let the walk's own thread call ``wish`` whenever a browser asks for it."""
-        register(lambda event: self._wishes.put(wish))
+
+        # A coroutine, which viser calls in the server's thread: a plain function it puts into a queue without end.
+        async def asked(event: object) -> None:
+            with self._lock:
+                if self._waiting[wish] < WAITING:
+                    self._waiting[wish] += 1
+                    self._wishes.put(wish)
+
+        register(asked)
 
     def _choose(self, run: str) -> None:
-        if run == self.shown:
+        if run == self.shown or run not in self.runs:
             return
         try:
             live = self._load(run)
-        except GCTD3Error as error:
-            self._message, self._choice.value = str(error), self.shown
+        except Exception as error:  # whatever is wrong with that run, this one goes on
+            text = str(error) if isinstance(error, GCTD3Error) else f"{run} cannot be shown: {error!r}"
+            self._message, self._choice.value = text, self.shown
             return
         self._message = ""
         self._open(run, live)
@@ -217,9 +246,13 @@ class Panel:
         place = self._origin + metre * forward + 2e-3 * up
         # Children of the ground's scene node, which moves when the camera follows.
         name, ends = f"/fixed_bodies/metre_{metre}", np.stack([place - 0.6 * side, place + 0.6 * side])
-        line = self.server.scene.add_line_segments(f"{name}/line", ends[None], (60, 64, 72), thickness=0.02)
+        # A dark line on a wider bright one, so that it is seen on any ground.
+        lines = [
+            self.server.scene.add_line_segments(f"{name}/{part}", (ends + above * up)[None], colour, thickness=wide)
+            for part, above, colour, wide in (("edge", 0.0, (232, 234, 236), 0.032), ("line", 1e-3, (60, 64, 72), 0.02))
+        ]
         words = self.server.scene.add_label(f"{name}/words", f"{metre} m", position=place - 0.7 * side)
-        return line, words
+        return *lines, words
 
     def _words(self, now: Moment) -> str:
         state = "paused" if self.paused else "reached the finish" if now.success else "ended" if now.done else "walks"

@@ -22,14 +22,15 @@ from gctd3.robots.robot import Robot
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.viz.live_session import LiveWalk, Moment, foot_geoms
 from gctd3.viz.offscreen import Canvas, find_backend
+from gctd3.viz.scenery import light_up
 
 FPS = 25  # GIF players show 25 frames a second well, 50 badly
 # Views of a robot whose MJCF names no such camera: azimuth from its forward axis, elevation (degrees).
 VIEWS = {"side": (90.0, -8.0), "three_quarter": (130.0, -18.0)}
 CLIP, CLIP_SIZE = 5.0, (320, 240)  # of a training's policies (s; pixels)
-_SHADOW = 1024  # pixels of the shadow map; the shipped MJCFs' 4096 are much for a renderer in software
 MARKS = range(-3, 8)  # metres that are marked, from the last one walked
-_INK, _PAINT = (30, 30, 30), np.array([0.25, 0.27, 0.30, 1.0], np.float32)
+_INK, _PAPER = (30, 30, 30), (255, 255, 255)  # of the numbers, and around them: readable on any ground
+_PAINT, _EDGE = (np.array(colour, np.float32) for colour in ([0.25, 0.27, 0.30, 1.0], [0.9, 0.91, 0.92, 1.0]))
 
 
 @dataclass(frozen=True)
@@ -103,12 +104,12 @@ def draw(
     check_camera(robot, camera)
     model, data, font = robot.model, mujoco.MjData(robot.model), ImageFont.load_default(13)
     origin, total = start_point(robot), walk.total
-    model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, _SHADOW)
     with Canvas(model, *size) as canvas:
         for step in steps:
             data.qpos[:] = walk.qpos[step]
             mujoco.mj_forward(model, data)
             canvas.look(data, _camera(robot, data, camera))
+            light_up(canvas.scene, data.subtree_com[robot.base.root])
             for metre in MARKS:
                 _mark(canvas.scene, robot, origin, int(walk.position[step]) + metre, words)
             frame = Image.fromarray(canvas.draw())
@@ -117,7 +118,7 @@ def draw(
                     f"{(step + 1) * dt:.2f} s   {walk.position[step]:.2f} m   {walk.velocity[step]:.2f} m/s\n"
                     f"reward {walk.reward[step]:.2f}   return {total[step]:.0f}"
                 )
-                ImageDraw.Draw(frame).text((8, 6), text, fill=_INK, font=font)
+                ImageDraw.Draw(frame).text((8, 6), text, fill=_INK, font=font, stroke_width=2, stroke_fill=_PAPER)
             yield frame
 
 
@@ -132,15 +133,17 @@ def start_point(robot: Robot) -> np.ndarray:
 
 def _mark(scene: mujoco.MjvScene, robot: Robot, origin: np.ndarray, metre: int, words: bool) -> None:
     """Draw a line across the way, with its distance from the start if ``words`` is set."""
-    if metre < 0 or scene.ngeom + 2 > scene.maxgeom:
+    if metre < 0 or scene.ngeom + 3 > scene.maxgeom:
         return
     forward, side, up = robot.base.frame
     # A millimetre above the ground, or the two would flicker.
     place, turn = origin + metre * forward + 1e-3 * up, np.stack([forward, side, up], axis=1)
-    line = scene.geoms[scene.ngeom]
     half = np.array([0.01 if metre % 5 else 0.025, 0.6, 5e-4])
-    mujoco.mjv_initGeom(line, mujoco.mjtGeom.mjGEOM_BOX, half, place, turn.ravel(), _PAINT)
-    scene.ngeom += 1
+    # A dark line on a wider bright one, so that it is seen on any ground.
+    for more, above, colour in ((0.012, 0.0, _EDGE), (0.0, 1e-3, _PAINT)):
+        line, size = scene.geoms[scene.ngeom], half + np.array([more, more, 0.0])
+        mujoco.mjv_initGeom(line, mujoco.mjtGeom.mjGEOM_BOX, size, place + above * up, turn.ravel(), colour)
+        scene.ngeom += 1
     if words:
         label = scene.geoms[scene.ngeom]
         mujoco.mjv_initGeom(label, mujoco.mjtGeom.mjGEOM_LABEL, half, place - half[1] * side, turn.ravel(), _PAINT)

@@ -139,6 +139,13 @@ class LiveWalk:
         mujoco.mj_forward(self.robot.model, self.data)
         return self.data
 
+    @property
+    def speed(self) -> float:
+        """Return the speed of the whole robot's centre of mass (m/s)."""
+        data = self.show()
+        mujoco.mj_subtreeVel(self.robot.model, data)
+        return float(np.linalg.norm(data.subtree_linvel[self._root]))
+
     def push(self, forward: float, side: float = 0.0) -> None:
         """Apply an impulse to the root body's centre of mass; every joint is free to yield to it.
 

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from gctd3.errors import RenderError
+from gctd3.viz.scenery import has_sky, paint_sky, with_scenery
 
 CHOICE = "MUJOCO_GL"  # the environment variable with which MuJoCo lets its users choose
 # Backends by system, the best first: EGL of a GPU or of Mesa, Mesa's software renderer, the screen's.
@@ -25,6 +26,8 @@ HOW = (
     "`dnf install mesa-libEGL` (or mesa-libOSMesa)."
 )
 _MOST_GEOMS = 10_000
+_SHADOW = 1024  # pixels of the shadow map; the shipped MJCFs' 4096 are much for a renderer in software
+_FAR = 1.0  # in the depth buffer, where nothing was drawn
 # OpenGL's library can be chosen only once in a process, so each is tried in one of its own.
 _TRY = """
 import sys
@@ -60,10 +63,12 @@ def find_backend() -> str:
 
 
 class Canvas:
-    """Render a model offscreen with MuJoCo. A context manager; only for the thread that made it.
+    """Render a model offscreen with MuJoCo, with the scenery that it lacks.
+
+    A context manager; only for the thread that made it.
 
     Args:
-        model: The model; its offscreen framebuffer is made as large as the picture.
+        model: The model.
         width: Width of the picture (pixels).
         height: Height of the picture (pixels).
 
@@ -73,8 +78,10 @@ class Canvas:
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         backend = find_backend()
-        self.model, self.width, self.height = model, width, height
+        model = with_scenery(model)
+        self.model, self.width, self.height, self._sky = model, width, height, has_sky(model)
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+        model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, _SHADOW)
         self.scene = mujoco.MjvScene(model, maxgeom=_MOST_GEOMS)
         self._options = mujoco.MjvOption()
         self._area = mujoco.MjrRect(0, 0, width, height)
@@ -107,7 +114,11 @@ class Canvas:
         """Render the picture of :attr:`scene`, shape ``[height, width, 3]``, 0 to 255."""
         self._gl.make_current()
         pixels = np.empty((self.height, self.width, 3), np.uint8)
+        depth = None if self._sky else np.empty((self.height, self.width), np.float32)
         mujoco.mjr_render(self._area, self.scene, self._context)
-        mujoco.mjr_readPixels(pixels, None, self._area, self._context)
+        mujoco.mjr_readPixels(pixels, depth, self._area, self._context)
         # OpenGL's rows go upwards.
-        return np.ascontiguousarray(pixels[::-1])
+        pixels = np.ascontiguousarray(pixels[::-1])
+        if depth is not None:
+            paint_sky(pixels, depth[::-1] == _FAR)
+        return pixels

@@ -1,6 +1,7 @@
 """gctd3.compat: every private name exists and works as expected, and a missing one raises an error that names it."""
 
 import queue
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from torchrl.data import ReplayBuffer
 from torchrl.envs import DMControlEnv, GymEnv, SerialEnv
 from torchrl.envs.transforms import MultiStepTransform
 from torchrl.objectives import SoftUpdate
+from websockets.asyncio import server as websockets_server
 
 from gctd3 import compat, objectives
 
@@ -20,6 +22,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::gctd3.errors.PerformanceWarning"),
     pytest.mark.filterwarnings("ignore:No target network updater:UserWarning"),
 ]
+KNOWN = "_gui_input_handle_from_uuid"
 
 
 @pytest.fixture
@@ -50,6 +53,7 @@ def test_a_name_that_is_gone_is_named_with_the_version_that_had_it():
         lambda thing: compat.reset_outcome(thing, None),
         lambda thing: compat.serial_envs(thing),
         lambda thing: compat.stored_mapping(thing, "key"),
+        lambda thing: compat.control_of(SimpleNamespace(gui=thing), "id"),
     ],
 )
 def test_every_function_says_so(call):
@@ -208,3 +212,27 @@ def test_own_launcher():
     assert compat.own_launcher({"_target_": name})
     assert not compat.own_launcher({"_target_": "hydra_plugins.hydra_joblib_launcher.joblib_launcher.JoblibLauncher"})
     assert not compat.own_launcher({})
+
+
+# viser
+
+
+def test_a_viser_server_is_served_with_other_arguments():
+    viser = pytest.importorskip("viser")
+    server, given = None, []
+    with compat.served_with(lambda named: given.append(named) or named):
+        server = viser.ViserServer(host="localhost", port=0, verbose=False)
+    try:
+        assert given and given[0]["process_request"] is not None
+        slider = server.gui.add_slider("a", min=0.0, max=1.0, step=0.1, initial_value=0.3)
+        controls = [compat.control_of(server, uuid) for uuid in compat.read(server.gui, KNOWN, compat.VISER)]
+        assert controls == [slider] and compat.control_of(server, "nobody") is None
+    finally:
+        server.stop()
+
+
+def test_a_server_that_would_be_without_the_change_is_refused():
+    serve = websockets_server.serve
+    with pytest.raises(compat.CompatError, match="viser does not serve by websockets"), compat.served_with(dict):
+        pass
+    assert websockets_server.serve is serve

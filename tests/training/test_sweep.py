@@ -1,11 +1,14 @@
 """Sweeps: the ready ones, runs side by side, stopped and crashed runs, and their names in a report."""
 
+import contextlib
 import functools
+import math
 import os
 import signal
 import subprocess
 import sys
 from itertools import product
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -21,7 +24,7 @@ from gctd3.comparison.verdict import verdict
 from gctd3.config.build import build
 from gctd3.config.command_line import explain
 from gctd3.errors import NumericalError
-from gctd3.training import sweep
+from gctd3.training import session, sweep
 from gctd3.training.saved_configuration import save_config
 
 READY = {"table5": 4, "graphs": 6, "history": 4}
@@ -192,7 +195,9 @@ class Crashing(Recorded):
 def test_a_crashed_run_is_named_and_the_others_go_on(tmp_path, capsys):
     pytest.importorskip("rliable")
     assert command("train", *arguments(tmp_path / "sweep"), trainer=Crashing) == 2
-    error = capsys.readouterr().err
+    out, error = capsys.readouterr()
+    # Hydra tells no callback of the end of a sweep in which a run failed.
+    assert out.count(f"Continue it with the same command and hydra.sweep.dir={tmp_path / 'sweep'}\n") == 1
     assert f"error: {tmp_path / 'sweep' / 'seed0'}: After " in error and "the loss is nan" in error
     assert "the other runs went on" in error and "Traceback" not in error
     assert int(rows(tmp_path / "sweep" / "seed1")[-1]["frames"]) == 240
@@ -201,6 +206,40 @@ def test_a_crashed_run_is_named_and_the_others_go_on(tmp_path, capsys):
     said = "\n".join(verdict(groups_of(find_runs(tmp_path / "sweep"))))
     assert "gctd3, seed 0 (seed0) crashed: After " in said and "the loss is nan" in said
     assert "its best policy until then counts" in said and "seed 1 (" not in said
+
+
+@pytest.mark.parametrize("best", [None, {"return_mean": math.nan}, {"return_mean": -math.inf}])
+def test_a_search_gets_a_finite_result_of_every_run(best):
+    assert math.isfinite(session.value(best)) and session.value(best) < -1e6
+    assert session.value({"return_mean": -12.5}) == -12.5
+
+
+def test_a_sweep_that_came_to_its_end_says_nothing_more(tmp_path, capsys):
+    begun = sweep.StopTogether()
+    (tmp_path / ".hydra").mkdir()
+    (tmp_path / ".hydra" / "config.yaml").touch()
+    config = OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}, "launcher": {"n_jobs": 2}}})
+    before = signal.getsignal(signal.SIGTERM)
+    begun.on_multirun_start(config)
+    assert signal.getsignal(signal.SIGTERM) != before
+    sweep.end(None)
+    assert signal.getsignal(signal.SIGTERM) == before and capsys.readouterr().out == ""
+    # Stopped by a signal, whatever its runs raised then.
+    for error in (None, SystemExit(2), RuntimeError()):
+        begun = sweep.StopTogether()
+        begun.on_multirun_start(config)
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert (tmp_path / sweep.STOP).exists()
+        with pytest.raises(SystemExit) as end:
+            sweep.end(error)
+        assert end.value.code == 128 + signal.SIGTERM and not (tmp_path / sweep.STOP).exists()
+        assert "Continue it with the same command and hydra.sweep.dir=" in capsys.readouterr().out
+    # What is no sweep, or has not begun, has nothing to continue.
+    sweep.end(SystemExit(2))
+    (tmp_path / ".hydra" / "config.yaml").unlink()
+    sweep.StopTogether().on_multirun_start(config)
+    sweep.end(SystemExit(2))
+    assert capsys.readouterr().out == ""
 
 
 def test_a_run_that_was_stopped_is_named(finished, tmp_path):
@@ -230,3 +269,51 @@ def test_a_sweeper_gets_the_return_of_the_best_policy(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "train", lambda config: got.append(actual(config)) or got[-1])
     run = train(tmp_path / "a", "stop_when=never")
     assert got == [pytest.approx(max(float(row["return_mean"]) for row in rows(run)))]
+
+
+# Killed processes. Those of joblib wait for the processes of the runs.
+
+LONG = {"total_frames": 1200, "evaluation.every": 400, "checkpoint_every": 400}
+
+
+def holders(sweep):
+    """Return for every run that is being trained its process and joblib's that waits for it."""
+    found = {}
+    for directory in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            call = (directory / "cmdline").read_bytes().split(b"\0")
+            if b"gctd3.training.own_process" in call:
+                open_files = {os.readlink(file) for file in (directory / "fd").iterdir()}
+                parent = int((directory / "stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()[1])
+                for run in sweep.iterdir():
+                    if str(run / "log.txt") in open_files:
+                        found[run.name] = int(directory.name), parent
+    return found
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@pytest.mark.parametrize("victim", ["run", "worker"])
+def test_a_killed_process_of_a_sweep_is_named_and_the_others_go_on(tmp_path, victim):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    sweep = tmp_path / "sweep"
+    running = beside(sweep, "seed=0,1,2", **LONG)
+    wait_for(lambda: len(holders(sweep)) == 2 and list(sweep.glob("seed0/checkpoints/best-*")), seconds=600)
+    process, worker = holders(sweep)["seed0"]
+    os.kill(process if victim == "run" else worker, signal.SIGKILL)
+    out, error = running.communicate(timeout=600)
+    assert running.returncode == 2, out + error
+    assert "Traceback" not in out + error
+    named = [line for line in error.splitlines() if "killed" in line]
+    assert named and all(str(sweep / "seed0") in line for line in named), error
+    assert f"Continue it with the same command and hydra.sweep.dir={sweep}" in out
+    for seed in (1, 2):
+        assert int(rows(sweep / f"seed{seed}")[-1]["frames"]) == LONG["total_frames"]
+    assert int(rows(sweep / "seed0")[-1]["frames"]) < LONG["total_frames"]
+    # The same command ends it, as if nothing had happened.
+    again = beside(sweep, "seed=0,1,2", **LONG)
+    out, error = again.communicate(timeout=600)
+    assert again.returncode == 0, out + error
+    assert "Continue it" not in out
+    whole = train(tmp_path / "whole", "seed=0", *(f"{k}={v}" for k, v in LONG.items()), without=list(LONG))
+    assert_same_run(whole, sweep / "seed0")
