@@ -110,7 +110,16 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - any of the names above
     home = _HOME.get(name) or _TARGETS.get(name)
     if home is None:
         raise AttributeError(f"module 'gctd3' has no attribute {name!r}; it has {', '.join(__all__)}.")
-    return getattr(import_module(home), name)
+    try:
+        return getattr(import_module(home), name)
+    except ImportError as error:
+        from gctd3.requirements import why_no_mujoco
+
+        if reason := why_no_mujoco(error):
+            from gctd3.errors import PackageError
+
+            raise PackageError(reason) from error
+        raise
 
 
 def __dir__() -> list[str]:

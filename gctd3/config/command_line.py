@@ -28,8 +28,9 @@ from gctd3.compat import own_launcher
 from gctd3.config.fields import TARGET, find, is_settings, meanings
 from gctd3.config.help import CONF, asks_for_help, check_installed, choices, command_of, conf, fail, help_of
 from gctd3.config.suggestions import nearest
-from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
+from gctd3.errors import ConfigError, GCTD3Error, PackageError, RobotError, RunError, suggest
 from gctd3.files import remove_empty, title
+from gctd3.requirements import why_no_mujoco
 from gctd3.signals import Interruption
 
 UNREAD = 141  # exit code that shells report for a program whose output nobody reads
@@ -92,11 +93,21 @@ def _run(
         if _raised_by_the_task(error):
             raise
         fail(f"The arguments cannot be combined: {error or type(error).__name__}")
+    except ImportError as error:
+        fail(_broken(error))
     except RuntimeError as error:
         plugin = re.search(r"Unknown plugin class : 'hydra_plugins\.hydra_(\w+)_launcher", str(error))
         if plugin is None:
             raise
         fail(f"hydra/launcher={plugin[1]} needs its package: pip install 'gctd3[{plugin[1]}]'.")
+
+
+def _broken(error: ImportError) -> str:
+    """Return what to do about a package that cannot be imported; raise the error again if that is not known."""
+    reason = why_no_mujoco(error)
+    if reason is None:
+        raise error
+    return reason
 
 
 def _raised_by_the_task(error: Exception) -> bool:
@@ -148,6 +159,8 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
             _unread()
         except _USER_ERRORS as error:
             _refuse(error, config)
+        except ImportError as error:
+            _refuse(PackageError(_broken(error)), config)
         except RuntimeError as error:
             # PyTorch reports a lack of memory as a RuntimeError.
             if "alloc" not in str(error) and "out of memory" not in str(error):
