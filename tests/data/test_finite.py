@@ -7,9 +7,9 @@ import pytest
 import torch
 from compositions import env_of, walking
 from running import Recorded, command, rows, tiny, train
+from suite_robots import load
 from torchrl.envs import Compose, Transform, TransformedEnv
 
-from gctd3.envs import dmc
 from gctd3.envs.check import CheckStep
 from gctd3.envs.simulation import BEGINNING, Simulation
 from gctd3.errors import NumericalError
@@ -237,7 +237,7 @@ def test_a_batched_robot_that_explodes_falls_alone(robot, age, control_dt, tmp_p
 
 
 def test_a_dm_control_robot_that_explodes_falls(task):
-    env = dmc.load(task, 0)
+    env = load(task, 0)
     for age in (0, 5):
         env.reset()
         for _ in range(age):

@@ -190,7 +190,7 @@ class Crashing(Recorded):
 
 
 def test_a_crashed_run_is_named_and_the_others_go_on(tmp_path, capsys):
-    pytest.importorskip("rliable")
+    pytest.importorskip("matplotlib")
     assert command("train", *arguments(tmp_path / "sweep"), trainer=Crashing) == 2
     error = capsys.readouterr().err
     assert f"error: {tmp_path / 'sweep' / 'seed0'}: After " in error and "the loss is nan" in error
