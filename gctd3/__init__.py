@@ -5,8 +5,9 @@ Light to import: nothing heavy is loaded until it is used.
 
 from __future__ import annotations
 
-from contextlib import suppress
+import sys
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -95,15 +96,48 @@ _TARGETS = {
 }
 __all__ = sorted(_HOME)
 
-# On a robot, where gctd3.deploy runs, it may be missing.
-with suppress(ModuleNotFoundError):
-    import gymnasium
 
-    gymnasium.register(
+def _register() -> None:
+    from gymnasium.envs.registration import register
+
+    register(
         id="gctd3/Biped-v0",
         entry_point="gctd3.envs.gym:BipedEnv",
         vector_entry_point="gctd3.envs.gym:BipedVectorEnv",
     )
+
+
+class _Gymnasium:
+    """Register the environment as soon as Gymnasium is imported; to import it here would take long."""
+
+    searching = False
+
+    @classmethod
+    def find_spec(cls, name: str, path: Any = None, target: Any = None) -> Any:  # noqa: ANN401 - as importlib has them
+        """Find Gymnasium as Python does, and let its import end with the registration."""
+        if name != "gymnasium" or cls.searching:
+            return None
+        cls.searching = True
+        try:
+            spec = find_spec(name)
+        finally:
+            cls.searching = False
+        if spec is None or spec.loader is None:
+            return None
+        execute = spec.loader.exec_module
+
+        def exec_module(module: Any) -> None:  # noqa: ANN401
+            execute(module)
+            _register()
+
+        vars(spec.loader)["exec_module"] = exec_module
+        return spec
+
+
+if "gymnasium" in sys.modules:
+    _register()
+else:
+    sys.meta_path.insert(0, _Gymnasium)
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - any of the names above

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from omegaconf import DictConfig
+from typing import TYPE_CHECKING
 
-from gctd3.config.build import build
-from gctd3.config.command_line import command
+from gctd3.config.help import helped
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 
 def _task(config: DictConfig) -> None:
+    from gctd3.config.build import build
     from gctd3.evaluation.robustness import table as robustness_table
     from gctd3.runs.evaluate import (
         EVALUATION,
@@ -37,7 +40,11 @@ def _task(config: DictConfig) -> None:
 
 def main() -> None:
     """Run ``python -m gctd3.evaluate``."""
-    command("evaluate", _task)
+    if not helped("evaluate"):
+        # Late, as everything that takes long: --help answers at once.
+        from gctd3.config.command_line import command
+
+        command("evaluate", _task)
 
 
 if __name__ == "__main__":

@@ -10,11 +10,9 @@ import numpy as np
 from gctd3.deploy.contract import FORMAT, Contract, Feature, NetworkFile, Node, RobotIdentity, Servo, robot_hash
 from gctd3.errors import RobotError
 from gctd3.nn.actor import ACTION, NODES
-from gctd3.robots.actuators import torque_limit
+from gctd3.robots.actuators import filters, torque_limit
 from gctd3.robots.robot import Robot
 from gctd3.tasks.simulated_task import SimulatedTask
-
-_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 
 
 def describe(
@@ -83,7 +81,7 @@ def _servo(robot: Robot, index: int, most_change: float) -> Servo:
     model, joint = robot.model, robot.joint(robot.actuated[index])
     gain, bias = float(model.actuator_gainprm[index, 0]), model.actuator_biasprm[index]
     name, dynamics = robot.action_names[index], int(model.actuator_dyntype[index])
-    filtered = dynamics in _FILTERS
+    filtered = dynamics in filters()
     plain = dynamics == int(mujoco.mjtDyn.mjDYN_NONE)
     if bias[0] != 0 or bias[1] != -gain or model.actuator_gear[index, 0] != 1 or not (plain or filtered):
         raise RobotError(
