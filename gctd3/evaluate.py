@@ -33,7 +33,9 @@ def _task(config: DictConfig) -> None:
         results = examine_run(settings, gait.get("stride_time") if isinstance(gait, dict) else None)
         print(f"\n{robustness_table(results)}")
         written += [ROBUSTNESS, ROBUSTNESS_PICTURE]
-    if settings.folder is not None:
+    if settings.folder is None:
+        print("\nNothing is written for the policy that ships with gctd3: out=DIR writes, and run=DIR to that run.")
+    else:
         files = [settings.folder / name for name in written]
         print(f"\nWritten to {' and '.join(str(file) for file in files if file.is_file())}")
 

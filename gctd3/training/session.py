@@ -16,6 +16,7 @@ from gctd3.config.build import again, build, packages
 from gctd3.errors import RunError
 from gctd3.files import remove_empty
 from gctd3.signals import StopRequest
+from gctd3.training.announcements import best_text, closing, opening
 from gctd3.training.run_lock import only_one
 from gctd3.training.saved_configuration import CONFIG, changed, save_config
 from gctd3.training.sweep import share_cores, stop_file
@@ -85,25 +86,25 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
         if resumed and not trainer.restore():
             print(f"{run} has no checkpoint yet: it starts from the beginning.")
         save_config(run, config, overrides)
-        print(OmegaConf.to_yaml(config))
+        print(opening(config, setup.task.name, run))
         if settings.replay.mirror:
             print(setup.mirror_check)
-        print(f"Run directory: {run}\n", flush=True)
+        print(flush=True)
         if setup.robot.origin:
             print(f"{setup.robot.origin}\n", flush=True)
         if trainer.finished and sweeping:
             print("It is finished already.")
         elif trainer.finished:
             raise RunError(
-                f"{run} is finished after {trainer.counters.frames:,} steps. To train on, raise total_frames, and "
+                f"{run} is finished after {trainer.counters.frames:,} frames. To train on, raise total_frames, and "
                 "stop_when.evaluations or stop_when.evaluations=null if its conditions ended it."
             )
         trainer.run(stop)
-        print(_summary(trainer.best, run, config, walks))
+        print(closing(trainer.best, run, config, walks, trainer.finished))
         if not trainer.finished:
             print(f"Continue it:  {again(config, 'train', f'resume={run}')}")
     if stop.file is not None:
-        print(f"{run}: {'stopped' if stop else 'done'}. {_best_text(trainer.best, walks)}", flush=True)
+        print(f"{run}: {'stopped' if stop else 'done'}. {best_text(trainer.best, walks)}", flush=True)
     return trainer.best
 
 
@@ -141,25 +142,3 @@ def _output(run: Path, stop: StopRequest) -> Iterator[None]:
 
 def _value(best: dict[str, float] | None) -> float:
     return math.nan if best is None else best["return_mean"]
-
-
-def _summary(best: dict[str, float] | None, run: Path, config: DictConfig, walks: bool) -> str:
-    """Return the best evaluation and how to look at the policy; only the walking task can be drawn."""
-    advice = f"\nEvaluate it over 50 episodes:  {again(config, 'evaluate', f'run={run}', 'episodes=50')}"
-    advice += f"\nWatch it walk:  {again(config, 'view', f'run={run}')}" if walks else ""
-    return f"\n{_best_text(best, walks)}{advice if best is not None else ''}"
-
-
-def _best_text(best: dict[str, float] | None, walks: bool) -> str:
-    """Describe the best evaluation by its task's figures: a library's has no success rate, its robot may be fixed."""
-    if best is None:
-        return "It has not been evaluated yet, so it has no best policy."
-    figures = [f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}"]
-    if walks:
-        figures.append(f"success {best['success_rate']:.0%}")
-    if walks or best["distance_mean"]:
-        figures.append(f"{best['distance_mean']:.1f} m at {best['velocity_mean']:.2f} m/s")
-    return (
-        f"Best evaluation, after {best['frames']:,.0f} steps and {best['wall_s'] / 60:.1f} minutes: "
-        f"{', '.join(figures)}."
-    )

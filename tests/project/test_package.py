@@ -17,7 +17,7 @@ import gctd3
 ROOT = Path(gctd3.__file__).parent
 # Rooms from the bottom up: a module imports from its own room and from those below it. At the top level stand the
 # foundations, which everything may use, and the commands, which nothing may.
-FOUNDATIONS = ("errors", "files", "signals", "compat")
+FOUNDATIONS = ("errors", "files", "signals", "compat", "progress", "requirements")
 ROOMS = (
     "config",
     "robots",
