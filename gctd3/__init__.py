@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gctd3.robots.robot import Robot as Robot
     from gctd3.runs.load import load_policy as load_policy
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOME = {
     "KinematicGraph": "gctd3.robots.graph",

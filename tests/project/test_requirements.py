@@ -32,6 +32,13 @@ def test_pythons_are_those_of_the_classifiers():
     assert f'requires-python = ">={PYTHONS[0]}"' in text
 
 
+def test_the_version_is_one():
+    cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(r"^version: (.+)$", cited, flags=re.M)[1] == gctd3.__version__
+    changes = re.findall(r"^## \[(.+?)\]", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), flags=re.M)
+    assert changes[:2] == ["Unreleased", gctd3.__version__]
+
+
 def test_a_requirement_is_that_of_this_python(monkeypatch):
     declared = [
         "mujoco<4,>=3.17; python_version < '3'",
