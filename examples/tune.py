@@ -16,10 +16,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import optuna
-from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend
-from optuna.trial import Trial, TrialState
+try:
+    import optuna
+    from optuna.storages import JournalStorage
+    from optuna.storages.journal import JournalFileBackend
+    from optuna.trial import Trial, TrialState
+except ModuleNotFoundError as error:
+    raise SystemExit(f"error: examples/tune.py needs {error.name}: pip install 'optuna>=4'") from error
 
 
 def suggest(trial: Trial) -> dict[str, float]:

@@ -5,8 +5,9 @@ Light to import: nothing heavy is loaded until it is used.
 
 from __future__ import annotations
 
-from contextlib import suppress
+import sys
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from gctd3.robots.robot import Robot as Robot
     from gctd3.runs.load import load_policy as load_policy
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOME = {
     "KinematicGraph": "gctd3.robots.graph",
@@ -99,22 +100,64 @@ _TARGETS = {
 }
 __all__ = sorted(_HOME)
 
-# On a robot, where gctd3.deploy runs, it may be missing.
-with suppress(ModuleNotFoundError):
-    import gymnasium
 
-    gymnasium.register(
+def _register() -> None:
+    from gymnasium.envs.registration import register
+
+    register(
         id="gctd3/Biped-v0",
         entry_point="gctd3.envs.gym:BipedEnv",
         vector_entry_point="gctd3.envs.gym:BipedVectorEnv",
     )
 
 
+class _Gymnasium:
+    """Register the environment as soon as Gymnasium is imported; to import it here would take long."""
+
+    searching = False
+
+    @classmethod
+    def find_spec(cls, name: str, path: Any = None, target: Any = None) -> Any:  # noqa: ANN401 - as importlib has them
+        """Find Gymnasium as Python does, and let its import end with the registration."""
+        if name != "gymnasium" or cls.searching:
+            return None
+        cls.searching = True
+        try:
+            spec = find_spec(name)
+        finally:
+            cls.searching = False
+        if spec is None or spec.loader is None:
+            return None
+        execute = spec.loader.exec_module
+
+        def exec_module(module: Any) -> None:  # noqa: ANN401
+            execute(module)
+            _register()
+
+        vars(spec.loader)["exec_module"] = exec_module
+        return spec
+
+
+if "gymnasium" in sys.modules:
+    _register()
+else:
+    sys.meta_path.insert(0, _Gymnasium)
+
+
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - any of the names above
     home = _HOME.get(name) or _TARGETS.get(name)
     if home is None:
         raise AttributeError(f"module 'gctd3' has no attribute {name!r}; it has {', '.join(__all__)}.")
-    return getattr(import_module(home), name)
+    try:
+        return getattr(import_module(home), name)
+    except ImportError as error:
+        from gctd3.requirements import why_no_mujoco
+
+        if reason := why_no_mujoco(error):
+            from gctd3.errors import PackageError
+
+            raise PackageError(reason) from error
+        raise
 
 
 def __dir__() -> list[str]:

@@ -60,6 +60,10 @@ class RenderError(GCTD3Error, RuntimeError):
     """Report that images or videos cannot be rendered."""
 
 
+class PackageError(GCTD3Error, ImportError):
+    """Report that a package which something needs is missing, or cannot be imported."""
+
+
 class PerformanceWarning(UserWarning):
     """Warn that a computation works, but by a slower way than the one made for it."""
 

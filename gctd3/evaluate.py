@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig
-
-from gctd3.config.build import build
-from gctd3.config.command_line import command
+from gctd3.config.help import helped
 from gctd3.files import shown
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 
 def _task(config: DictConfig) -> None:
+    from gctd3.config.build import build
     from gctd3.evaluation.robustness import table as robustness_table
     from gctd3.runs.evaluate import (
         EVALUATION,
@@ -46,13 +48,19 @@ def _task(config: DictConfig) -> None:
     if folder is not None:
         files = [folder / name for name in written]
         print(f"\nWritten to {' and '.join(shown(file) for file in files if file.is_file())}")
-    elif refused is not None:
+    elif refused is None:
+        print("\nNothing is written for the policy that ships with gctd3: out=DIR writes, and run=DIR to that run.")
+    else:
         print(f"\n{refused}")
 
 
 def main() -> None:
     """Run ``python -m gctd3.evaluate``."""
-    command("evaluate", _task)
+    if not helped("evaluate"):
+        # Late, as everything that takes long: --help answers at once.
+        from gctd3.config.command_line import command
+
+        command("evaluate", _task)
 
 
 if __name__ == "__main__":

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig
-
-from gctd3.config.build import build
-from gctd3.config.command_line import command
+from gctd3.config.help import helped
 from gctd3.files import shown
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 
 def _task(config: DictConfig) -> None:
+    from gctd3.config.build import build
     from gctd3.deploy.export import export_run
 
     exported = export_run(build(config))
@@ -23,7 +25,11 @@ def _task(config: DictConfig) -> None:
 
 def main() -> None:
     """Run ``python -m gctd3.export``."""
-    command("export", _task)
+    if not helped("export"):
+        # Late, as everything that takes long: --help answers at once.
+        from gctd3.config.command_line import command
+
+        command("export", _task)
 
 
 if __name__ == "__main__":

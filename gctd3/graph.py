@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from omegaconf import DictConfig
+from typing import TYPE_CHECKING
 
-from gctd3.config.command_line import command
+from gctd3.config.help import helped
 from gctd3.robots.command_line import robot_file
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 
 def _task(config: DictConfig) -> None:
@@ -16,7 +19,11 @@ def _task(config: DictConfig) -> None:
 
 def main() -> None:
     """Run ``python -m gctd3.graph``."""
-    command("graph", _task, robot_file)
+    if not helped("graph"):
+        # Late, as everything that takes long: --help answers at once.
+        from gctd3.config.command_line import command
+
+        command("graph", _task, robot_file)
 
 
 if __name__ == "__main__":

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from omegaconf import DictConfig
+from typing import TYPE_CHECKING
 
-from gctd3.config.build import build
-from gctd3.config.command_line import command
+from gctd3.config.help import helped
 from gctd3.files import shown
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 
 def _task(config: DictConfig) -> None:
+    from gctd3.config.build import build
     from gctd3.runs.draw import render_run
 
     print(f"Written to {shown(render_run(build(config)))}")
@@ -17,7 +20,11 @@ def _task(config: DictConfig) -> None:
 
 def main() -> None:
     """Run ``python -m gctd3.render``."""
-    command("render", _task)
+    if not helped("render"):
+        # Late, as everything that takes long: --help answers at once.
+        from gctd3.config.command_line import command
+
+        command("render", _task)
 
 
 if __name__ == "__main__":

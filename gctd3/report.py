@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from omegaconf import DictConfig
+from typing import TYPE_CHECKING
 
-from gctd3.config.build import build
-from gctd3.config.command_line import command
+from gctd3.config.help import helped
 from gctd3.files import shown
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 
 def _task(config: DictConfig) -> None:
     from gctd3.comparison.output_directory import VERDICT
     from gctd3.comparison.report import report
     from gctd3.comparison.settings import ReportSettings
+    from gctd3.config.build import build
 
     settings: ReportSettings = build(config)
     file = report(settings)
@@ -22,7 +25,11 @@ def _task(config: DictConfig) -> None:
 
 def main() -> None:
     """Run ``python -m gctd3.report``."""
-    command("report", _task)
+    if not helped("report"):
+        # Late, as everything that takes long: --help answers at once.
+        from gctd3.config.command_line import command
+
+        command("report", _task)
 
 
 if __name__ == "__main__":

@@ -6,17 +6,22 @@ import contextlib
 import sys
 from pathlib import Path
 
-from gctd3.config.command_line import command
-from gctd3.config.paths import plain, quoted
+from gctd3.config.help import helped
 from gctd3.errors import RunError
 from gctd3.robots.command_line import robot_file
-from gctd3.training.saved_configuration import CONFIG, HARMLESS, choices
-from gctd3.training.session import train
-from gctd3.training.sweep import end
 
 
 def main() -> None:
     """Run ``python -m gctd3.train``."""
+    if helped("config"):
+        return
+    # Late, as everything that takes long: --help answers at once.
+    from gctd3.config.command_line import command
+    from gctd3.config.paths import plain, quoted
+    from gctd3.training.saved_configuration import CONFIG, HARMLESS, choices
+    from gctd3.training.session import train
+    from gctd3.training.sweep import end
+
     resumed = [plain(argument.split("=", 1)[1]) for argument in sys.argv[1:] if argument.startswith("resume=")]
     going_on = bool(resumed) and resumed[-1] not in ("null", "")
     if going_on:

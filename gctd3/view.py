@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from omegaconf import DictConfig
+from typing import TYPE_CHECKING
 
-from gctd3.config.build import build
-from gctd3.config.command_line import command
+from gctd3.config.help import helped
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 
 def _task(config: DictConfig) -> None:
+    from gctd3.config.build import build
     from gctd3.runs.show import view
 
     view(build(config))
@@ -16,7 +19,11 @@ def _task(config: DictConfig) -> None:
 
 def main() -> None:
     """Run ``python -m gctd3.view``."""
-    command("view", _task)
+    if not helped("view"):
+        # Late, as everything that takes long: --help answers at once.
+        from gctd3.config.command_line import command
+
+        command("view", _task)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,16 @@ def pytest_collection():
     settings.load_profile("gctd3")
 
 
+def pytest_runtest_setup(item):
+    """Skip tests of dm_control where it cannot be imported: those marked so, and those with it as a parameter."""
+    parameters = item.callspec.params.values() if hasattr(item, "callspec") else ()
+    if item.get_closest_marker("dm_control") or "dm_control" in map(str, parameters):
+        from suite_robots import why_not
+
+        if why_not():
+            pytest.skip(why_not())
+
+
 @pytest.fixture(autouse=True)
 def _seed():
     import torch

@@ -26,7 +26,7 @@ from gctd3.runs.evaluate import TRACE
 if TYPE_CHECKING:
     from gctd3.comparison.figures import Gallery, Picture
 
-NEEDED = ("rliable", "matplotlib")
+NEEDED = ("matplotlib",)
 
 
 def report(settings: ReportSettings) -> Path:

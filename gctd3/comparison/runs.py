@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from gctd3.errors import GCTD3Error, RunError
 from gctd3.evaluation.settings import EpisodeSettings
 from gctd3.files import MANIFEST, OWN_ROBOT, read_manifest, unwritable
+from gctd3.progress import tracked
 from gctd3.runs.evaluate import EVALUATION, ROBUSTNESS, TRACE, evaluate_run
 from gctd3.runs.settings import EvaluateSettings
 from gctd3.training.run_log import PROGRESS
@@ -222,7 +222,7 @@ def evaluated(runs: Sequence[Run], settings: EpisodeSettings) -> list[Run]:
     """Evaluate the runs that have no evaluation, and return all; a run that cannot be evaluated holds the reason."""
     missing = [run for run in runs if run.evaluation is None]
     done = {}
-    for run in tqdm(missing, desc="evaluating", unit=" run", disable=not missing):
+    for run in tracked(missing, "evaluating runs", len(missing)):
         done[run.name] = _evaluate(run, settings)
     return [done.get(run.name, run) for run in runs]
 

@@ -23,7 +23,7 @@ from omegaconf.errors import MissingMandatoryValue
 import gctd3
 from gctd3.config.fields import TARGET, describe, find, is_settings, meanings
 from gctd3.config.suggestions import nearest
-from gctd3.errors import ConfigError, suggest
+from gctd3.errors import ConfigError, PackageError, suggest
 
 OWN = "gctd3"
 MODULES = "GCTD3_MODULES"  # environment variable: packages besides that the configuration of a run may name, by commas
@@ -136,6 +136,8 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
     where = path or "the configuration"
     try:
         function = find(target)
+    except PackageError:
+        raise
     except ImportError as error:
         near = suggest(target, [f"{OWN}.{name}" for name in vars(gctd3)["_TARGETS"]])
         raise ConfigError(f"{where}: _target_ {target!r} cannot be imported: {error}{near}") from error

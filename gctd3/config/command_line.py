@@ -26,15 +26,15 @@ from yaml import MarkedYAMLError, YAMLError
 
 from gctd3.compat import own_launcher
 from gctd3.config.fields import TARGET, find, is_settings, meanings
-from gctd3.config.help import CONF, asks_for_help, check_installed, choices, command_of, conf, fail, help_of
+from gctd3.config.help import CONF, choices, command_of, conf, fail, unread
 from gctd3.config.paths import literal_paths
 from gctd3.config.suggestions import nearest
 from gctd3.config.terminal import prepare_output
-from gctd3.errors import ConfigError, GCTD3Error, RobotError, RunError, suggest
+from gctd3.errors import ConfigError, GCTD3Error, PackageError, RobotError, RunError, suggest
 from gctd3.files import remove_empty, title
+from gctd3.requirements import why_no_mujoco
 from gctd3.signals import Interruption
 
-UNREAD = 141  # exit code that shells report for a program whose output nobody reads
 _NULL = "null"
 _JOBLIB = ("hydra/launcher", "joblib")  # an option only where the plugin is installed
 _WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException, YAMLError)
@@ -89,10 +89,6 @@ def _run(
     rewrite: Callable[[list[str]], list[str]],
     may_change: Sequence[str],
 ) -> None:
-    check_installed()
-    if asks_for_help():
-        print(help_of(command_of(config)))
-        return
     sys.argv[1:] = _together(_without_null(sys.argv[1:], config))
     # A launcher's plug-in has settings of the same name as ours in conf/, on purpose.
     warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/", category=UserWarning)
@@ -102,7 +98,7 @@ def _run(
         sys.argv[1:] = rewrite(literal_paths(sys.argv[1:]))
         hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
     except BrokenPipeError:
-        _unread()
+        unread()
     except _USER_ERRORS as error:
         fail(explain(error, config, may_change))
     except (AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
@@ -110,11 +106,21 @@ def _run(
         if _raised_by_the_task(error):
             raise
         fail(f"The arguments cannot be combined: {error or type(error).__name__}")
+    except ImportError as error:
+        fail(_broken(error))
     except RuntimeError as error:
         plugin = re.search(r"Unknown plugin class : 'hydra_plugins\.hydra_(\w+)_launcher", str(error))
         if plugin is None:
             raise
         fail(f"hydra/launcher={plugin[1]} needs its package: pip install 'gctd3[{plugin[1]}]'.")
+
+
+def _broken(error: ImportError) -> str:
+    """Return what to do about a package that cannot be imported; raise the error again if that is not known."""
+    reason = why_no_mujoco(error)
+    if reason is None:
+        raise error
+    return reason
 
 
 def _raised_by_the_task(error: Exception) -> bool:
@@ -163,9 +169,11 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
             _check_overrides(settings, HydraConfig.get().overrides.task, config)
             return task(settings)
         except BrokenPipeError:
-            _unread()
+            unread()
         except _USER_ERRORS as error:
             _refuse(error, config)
+        except ImportError as error:
+            _refuse(PackageError(_broken(error)), config)
         except RuntimeError as error:
             # PyTorch reports a lack of memory as a RuntimeError.
             if "alloc" not in str(error) and "out of memory" not in str(error):
@@ -213,13 +221,6 @@ def _refuse(error: Exception, config: str) -> NoReturn:
     if sweeping and not own_launcher(hydra_config.launcher):
         raise RunError(message) from None  # reported by the process that started the sweep
     fail(message)
-
-
-def _unread() -> NoReturn:
-    """End the program silently: the reader of its output (``| head``) has closed it."""
-    # At its exit Python flushes its buffers, and would report the closed pipe.
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    raise SystemExit(UNREAD)
 
 
 def explain(error: Exception, config: str, may_change: Sequence[str] = ()) -> str:

@@ -24,7 +24,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf, flag_override
 
 from gctd3.compat import complete_compositions
 from gctd3.config.fields import TARGET, defaults_of, find, is_settings
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, PackageError
 
 OWN = "gctd3."
 _HYDRAS = "hydra"  # Hydra's own part of a configuration
@@ -64,6 +64,8 @@ def complete(config: DictConfig | ListConfig, ours: bool = False, path: str = ""
 def _add_defaults(config: DictConfig, target: str, path: str) -> None:
     try:
         settings = find(target)
+    except PackageError:
+        raise
     except ImportError as error:
         raise ConfigError(f"{path or 'the configuration'}: _target_ {target!r} cannot be imported: {error}") from error
     if is_settings(settings):

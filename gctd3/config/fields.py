@@ -17,6 +17,7 @@ from importlib import import_module
 from typing import Any
 
 import gctd3
+from gctd3.errors import PackageError
 
 TARGET = "_target_"
 REQUIRED = "???"  # in YAML, of a key that has no default
@@ -48,10 +49,13 @@ def find(target: str) -> Any:  # noqa: ANN401 - any object
 
     Raises:
         ImportError: If it cannot be imported.
+        PackageError: If a package that it needs cannot be imported, and what to do about it is known.
     """
     module, _, name = str(target).rpartition(".")
     try:
         return getattr(import_module(module), name)
+    except PackageError:
+        raise
     except Exception as error:  # a module may raise anything
         raise ImportError(str(error)) from error
 

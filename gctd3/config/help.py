@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import os
 import re
 import shutil
 import sys
 import textwrap
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NoReturn
 
 import yaml
 
 from gctd3.config.fields import REQUIRED, TARGET, find, in_plain_text, settings_of
+from gctd3.config.terminal import prepare_output
 
 CONF = "gctd3.conf"
 HELP = ("--help", "-h")
 USAGE_ERROR = 2
+UNREAD = 141  # exit code that shells report for a program whose output nobody reads
 # In the order in which one meets them.
 COMMANDS = ("view", "render", "train", "evaluate", "report", "graph", "export")
 _ROOTS = {"train": "config"}  # YAMLs that are not called as their command is
@@ -49,6 +55,13 @@ def fail(message: str) -> NoReturn:
     raise SystemExit(USAGE_ERROR)
 
 
+def unread() -> NoReturn:
+    """End the program silently: the reader of its output (``| head``) has closed it."""
+    # At its exit Python flushes its buffers, and would report the closed pipe.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    raise SystemExit(UNREAD)
+
+
 def check_installed() -> None:
     """End the program if Python cannot find its YAMLs."""
     if find_spec(CONF) is None:
@@ -61,6 +74,22 @@ def check_installed() -> None:
 def asks_for_help() -> bool:
     """Tell whether the command line asks for help."""
     return any(argument in HELP for argument in sys.argv[1:])
+
+
+def helped(root: str) -> bool:
+    """Print the help of a command if the command line asks for it, and return whether it does.
+
+    Args:
+        root: Name of the command's YAML.
+    """
+    check_installed()
+    if asks_for_help():
+        prepare_output()
+        try:
+            print(help_of(command_of(root)), flush=True)
+        except BrokenPipeError:
+            unread()
+    return asks_for_help()
 
 
 def command_of(root: str) -> str:
@@ -107,13 +136,39 @@ def help_of(command: str) -> str:
     """Describe a command, with examples, the keys of its settings with default and meaning, and its choices."""
     text = _text(command)
     about = yaml.safe_load(text)["hydra"]["help"]["template"].rstrip()
-    lines = [about, "", "Keys (key=default):", *_table(keys(command))]
+    with unloaded("mujoco"):
+        described = list(keys(command))
+    lines = [about, "", "Keys (key=default):", *_table(described)]
     chosen = list(choices(command))
     if chosen:
         lines += ["", "Choices (group=option), each of which brings keys of its own:", *_table(chosen)]
         lines += ["", f"`python -m gctd3.{command} --cfg job` shows every key, also after choices on the same line."]
         lines += ["`python -m gctd3.config.reference` explains each of them."]
     return "\n".join(lines)
+
+
+@contextlib.contextmanager
+def unloaded(package: str) -> Iterator[None]:
+    """Import modules that import a package without running that package's code, until they use it.
+
+    Settings say what a robot is without asking MuJoCo, but their modules import it for those who build one.
+    """
+    if package not in sys.modules:
+        sys.modules[package] = _Unloaded(package)
+    try:
+        yield
+    finally:
+        if isinstance(sys.modules.get(package), _Unloaded):
+            del sys.modules[package]
+
+
+class _Unloaded(ModuleType):
+    """Stand in for a package that is imported once one of its names is used."""
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - any name of the package
+        if sys.modules.get(self.__name__) is self:
+            del sys.modules[self.__name__]
+        return getattr(import_module(self.__name__), name)
 
 
 def keys(command: str) -> Iterator[Key]:

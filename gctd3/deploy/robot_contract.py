@@ -13,7 +13,7 @@ from gctd3.deploy.contract_parts import Feature, NetworkFile, Node, RobotIdentit
 from gctd3.deploy.settings import ExportSettings
 from gctd3.errors import ConfigError, RobotError, suggest
 from gctd3.nn.actor import ACTION, NODES
-from gctd3.robots.actuators import torque_limit
+from gctd3.robots.actuators import filters, torque_limit
 from gctd3.robots.physics import physics_hash
 from gctd3.robots.robot import Robot
 from gctd3.tasks.features import Reading
@@ -31,7 +31,6 @@ ANGLE_MARGIN = 0.25
 BY_QUANTITY: dict[str, Source] = {"command": "command", "action": "last action", "direction": "IMU orientation"}
 # What counts for a range that is smaller, in the unit of the quantity.
 LEAST_RANGE = {"angle": 0.4, "angular velocity": 1.0, "length": 0.1, "velocity": 0.5}
-_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 
 
 @dataclass(frozen=True)
@@ -178,7 +177,7 @@ def _servo(robot: Robot, index: int, most_change: float, home_rate: float, readi
     model, joint = robot.model, robot.joint(robot.actuated[index])
     gain, bias = float(model.actuator_gainprm[index, 0]), model.actuator_biasprm[index]
     name, dynamics = robot.action_names[index], int(model.actuator_dyntype[index])
-    filtered = dynamics in _FILTERS
+    filtered = dynamics in filters()
     plain = dynamics == int(mujoco.mjtDyn.mjDYN_NONE)
     if bias[0] != 0 or bias[1] != -gain or model.actuator_gear[index, 0] != 1 or not (plain or filtered):
         raise RobotError(

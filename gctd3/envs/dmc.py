@@ -4,31 +4,30 @@ from __future__ import annotations
 
 import collections
 import copy
-import warnings
 from typing import Any
 
-import dm_env
 import mujoco as mujoco_api
 import numpy as np
-from dm_env import specs
 from torchrl.envs import DMControlWrapper
 
 from gctd3.envs.asked import AnyRobot, ask_simulated
 from gctd3.envs.mujoco_state import integration_state, load_integration_state
 from gctd3.envs.simulation import substeps_of
+from gctd3.requirements import check_dm_control
 from gctd3.robots.actuators import rest_servos
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.memory import Memory
 from gctd3.tasks.outcome import Outcome
 from gctd3.tasks.simulated_task import SimulatedTask
 
-with warnings.catch_warnings():
-    # Without a display GLFW only warns, and dm_control settles on it; an error sends it on to EGL, then OSMesa.
-    warnings.filterwarnings("error", module="glfw")
-    from dm_control import mujoco
-    from dm_control.mujoco import wrapper
-    from dm_control.rl import control
-    from dm_control.suite import base
+check_dm_control("gctd3.envs.dmc")
+
+import dm_env  # noqa: E402 - after the check
+from dm_control import mujoco  # noqa: E402
+from dm_control.mujoco import wrapper  # noqa: E402
+from dm_control.rl import control  # noqa: E402
+from dm_control.suite import base  # noqa: E402
+from dm_env import specs  # noqa: E402
 
 
 class Physics(mujoco.Physics):

@@ -14,6 +14,7 @@ from gctd3.compat import replace_wrapped_env, wrapped_env
 from gctd3.envs.library_robots import LibraryRobots, observed
 from gctd3.envs.nodes import STATIC, NodeSensor, simulator
 from gctd3.errors import ConfigError, check_kind
+from gctd3.requirements import check_dm_control
 from gctd3.robots.floating_base import Axis
 from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.graph import KinematicGraph
@@ -114,7 +115,10 @@ def make_robot(library: Library, name: str) -> EnvBase:
 
     Raises:
         ConfigError: If there is no such task, or it cannot be scaled or is not one of MuJoCo's.
+        PackageError: If dm_control is needed and cannot be imported.
     """
+    if library == "dm_control":
+        check_dm_control(f"library=dm_control, of {name},")
     try:
         if library == "gymnasium":
             env = GymEnv(name)

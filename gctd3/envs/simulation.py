@@ -6,7 +6,6 @@ import os
 from typing import Any
 
 import mujoco
-import mujoco.rollout
 import numpy as np
 
 from gctd3.errors import ConfigError, NumericalError, RobotError
@@ -62,7 +61,9 @@ class Simulation:
         self._models = [self.model] * num_robots
         self._data = [mujoco.MjData(self.model) for _ in range(self.threads)]
         # A pool of one thread only adds a hand-over; without a pool the calling thread steps.
-        self._pool = mujoco.rollout.Rollout(nthread=0 if self.threads == 1 else self.threads)
+        from mujoco.rollout import Rollout  # late: it runs MuJoCo's code, which settings do without
+
+        self._pool = Rollout(nthread=0 if self.threads == 1 else self.threads)
         self.now: Measurement = task.measure(
             self.state[:, self._qpos], self.state[:, self._qvel], np.zeros((num_robots, self.model.nsensordata))
         )

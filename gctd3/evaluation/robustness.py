@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from gctd3.envs.factory import build_env
 from gctd3.envs.settings import EnvSettings
@@ -17,6 +16,7 @@ from gctd3.evaluation.perturbations import Delayed, Noisy, Policy, Pushed, alter
 from gctd3.evaluation.recorder import total_mass
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.settings import Perturbations
+from gctd3.progress import tracked
 from gctd3.tasks.simulated_task import SimulatedTask
 
 DIRECTIONS = {"forward": 1.0, "backward": -1.0}
@@ -49,9 +49,9 @@ class Examination:
                 at which to push.
         """
         conditions: dict[str, dict[str, float | int]] = {}
-        with tqdm(self._conditions().items(), desc="trying", unit=" condition") as bar:
-            for name, (policy, task) in bar:
-                conditions[name] = self._summary(policy, task)
+        tried = self._conditions()
+        for name, (policy, task) in tracked(tried.items(), "trying conditions", len(tried)):
+            conditions[name] = self._summary(policy, task)
         return {
             "perturbations": asdict(self.perturbations),
             "mass_kg": total_mass(self.task.robot),

@@ -14,6 +14,7 @@ from gctd3.data.finite import check_finite
 from gctd3.envs.robots_env import Glance
 from gctd3.evaluation.episode import Episode
 from gctd3.evaluation.recorder import Recorder
+from gctd3.progress import StatusLine
 from gctd3.tasks.task import Task
 
 
@@ -61,7 +62,14 @@ class Evaluation:
         return {"episodes": len(gaits), **averages}
 
 
-def evaluate(policy: TensorDictModuleBase, env: EnvBase, task: Task, seed: int, record: bool = False) -> Evaluation:
+def evaluate(
+    policy: TensorDictModuleBase,
+    env: EnvBase,
+    task: Task,
+    seed: int,
+    record: bool = False,
+    line: StatusLine | None = None,
+) -> Evaluation:
     """Run one episode on every robot of ``env``.
 
     Args:
@@ -70,6 +78,7 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, task: Task, seed: int, 
         task: The task of the robots.
         seed: Seed of the starts: equal seeds, equal starts.
         record: Whether to keep each episode's motion; only for the batched backend.
+        line: Where to show how far it is, if anywhere.
 
     Raises:
         NumericalError: If an action of the policy is not finite.
@@ -93,6 +102,9 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase, task: Task, seed: int, 
             glances.append(env.base_env.glance())
             frames.append((alive, after["reward"][:, 0], after["position"][:, 0], after["success"][:, 0]))
             alive = alive & ~after["done"][:, 0]
+            if line is not None:
+                done = count - int(alive.sum())
+                line.show(f"evaluating: {len(frames):,} control steps, {done} of {count} episodes have ended")
             state = step_mdp(state)
     lived, reward, position, success = (torch.stack(column).numpy() for column in zip(*frames, strict=True))
     # As precise as the policies' observations.

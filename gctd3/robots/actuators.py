@@ -12,10 +12,13 @@ import numpy as np
 from gctd3.errors import RobotError
 from gctd3.robots.mjcf import Joint, joint_name
 
-_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
-
 if TYPE_CHECKING:
     from gctd3.robots.robot import Robot
+
+
+def filters() -> tuple[int, int]:
+    """Return the kinds of actuator dynamics that filter the control."""
+    return int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT)
 
 
 def torque_limit(robot: Robot, index: int) -> float:
@@ -67,7 +70,7 @@ def is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
     return bool(
         int(model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED)
         and int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
-        and int(model.actuator_dyntype[actuator]) in (int(mujoco.mjtDyn.mjDYN_NONE), *_FILTERS)
+        and int(model.actuator_dyntype[actuator]) in (int(mujoco.mjtDyn.mjDYN_NONE), *filters())
         and bias[0] == 0.0
         and bias[1] < 0.0
         and np.isclose(gain[0], -bias[1], rtol=1e-6, atol=0.0)
@@ -89,7 +92,7 @@ def rest_servos(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         desired = float(model.actuator_gear[i, 0]) * place
         if model.actuator_ctrllimited[i]:
             desired = float(np.clip(desired, *model.actuator_ctrlrange[i]))
-        if int(model.actuator_dyntype[i]) in _FILTERS:
+        if int(model.actuator_dyntype[i]) in filters():
             data.act[int(model.actuator_actadr[i])] = desired
         if model.actuator_delay[i] > 0:
             length = int(model.actuator_history[i, 0])

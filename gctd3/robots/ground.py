@@ -9,10 +9,12 @@ import numpy as np
 
 from gctd3.robots.mjcf import bodies_below, body_name, colliding_geoms
 
-_SOLID = {int(mujoco.mjtGeom.mjGEOM_PLANE): 0.0, int(mujoco.mjtGeom.mjGEOM_BOX): 1.0}
 _FOUND = 1  # bit of "found", the first number that a contact sensor can report
-_BODIES = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_XBODY))
-_GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
+
+
+def _solid() -> dict[int, float]:
+    """Return the kinds of geoms that can be a level ground, and how far half their size reaches above their centre."""
+    return {int(mujoco.mjtGeom.mjGEOM_PLANE): 0.0, int(mujoco.mjtGeom.mjGEOM_BOX): 1.0}
 
 
 def ground_height(model: mujoco.MjModel) -> float | None:
@@ -26,7 +28,7 @@ def ground_height(model: mujoco.MjModel) -> float | None:
     heights = [
         _top(model, data, geom)
         for geom in (grounds or planes)
-        if int(model.geom_type[geom]) in _SOLID and is_static(model, geom) and _is_level(data, geom)
+        if int(model.geom_type[geom]) in _solid() and is_static(model, geom) and _is_level(data, geom)
     ]
     return max(heights, default=None)
 
@@ -47,7 +49,7 @@ def find_floor(model: mujoco.MjModel, root: int) -> int | None:
     below, ranked = data.xpos[root], list[tuple[int, float, int]]()
     for geom in range(model.ngeom):
         kind = int(model.geom_type[geom])
-        if not is_static(model, geom) or kind not in (*_SOLID, hfield) or not _is_level(data, geom):
+        if not is_static(model, geom) or kind not in (*_solid(), hfield) or not _is_level(data, geom):
             continue
         if kind != int(types.mjGEOM_PLANE):
             place = data.geom_xpos[geom]
@@ -118,20 +120,22 @@ def contact_sensors(model: mujoco.MjModel, root: int) -> dict[str, int]:
 
 def _body_of(model: mujoco.MjModel, kind: int, index: int) -> int:
     """Return the body whose contacts one side of a contact sensor counts, -1 if it is not all contacts of one body."""
-    if kind == _BODIES[0] or (kind == _BODIES[1] and len(bodies_below(model, index)) == 1):
+    objects = mujoco.mjtObj
+    if kind == objects.mjOBJ_BODY or (kind == objects.mjOBJ_XBODY and len(bodies_below(model, index)) == 1):
         return index
-    if kind == _GEOM:
+    if kind == objects.mjOBJ_GEOM:
         body = int(model.geom_bodyid[index])
         return body if colliding_geoms(model, body) == [index] else -1
     return -1
 
 
 def _is_ground(model: mujoco.MjModel, kind: int, index: int) -> bool:
-    if kind == _GEOM:
+    objects = mujoco.mjtObj
+    if kind == objects.mjOBJ_GEOM:
         return is_static(model, index)
-    if kind in _BODIES:
-        return int(model.body_weldid[index]) == 0 and (kind == _BODIES[0] or index > 0)
-    return kind == int(mujoco.mjtObj.mjOBJ_UNKNOWN)
+    if kind in (objects.mjOBJ_BODY, objects.mjOBJ_XBODY):
+        return int(model.body_weldid[index]) == 0 and (kind == objects.mjOBJ_BODY or index > 0)
+    return bool(kind == objects.mjOBJ_UNKNOWN)
 
 
 def _sensed_geoms(model: mujoco.MjModel) -> list[int]:
@@ -139,7 +143,7 @@ def _sensed_geoms(model: mujoco.MjModel) -> list[int]:
     contact = model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT
     named: list[int] = []
     for kinds, ids in ((model.sensor_objtype, model.sensor_objid), (model.sensor_reftype, model.sensor_refid)):
-        named += ids[contact & (kinds == _GEOM)].tolist()
+        named += ids[contact & (kinds == mujoco.mjtObj.mjOBJ_GEOM)].tolist()
     return [geom for geom in dict.fromkeys(named) if is_static(model, geom)]
 
 
@@ -154,7 +158,7 @@ def _is_level(data: mujoco.MjData, geom: int) -> bool:
 
 
 def _top(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
-    thick = _SOLID.get(int(model.geom_type[geom]), 0.0) * model.geom_size[geom, 2]
+    thick = _solid().get(int(model.geom_type[geom]), 0.0) * model.geom_size[geom, 2]
     return float(data.geom_xpos[geom, 2] + thick)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -14,12 +15,17 @@ import numpy as np
 from gctd3.errors import RobotError, one_line, suggest
 
 Kind = Literal["hinge", "slide", "ball", "free"]
-_KINDS: dict[int, Kind] = {
-    int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
-    int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
-    int(mujoco.mjtJoint.mjJNT_BALL): "ball",
-    int(mujoco.mjtJoint.mjJNT_FREE): "free",
-}
+
+
+@functools.cache
+def _kinds() -> dict[int, Kind]:
+    """Return the names of MuJoCo's kinds of joints. A function, so that MuJoCo is not needed to import this."""
+    return {
+        int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
+        int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
+        int(mujoco.mjtJoint.mjJNT_BALL): "ball",
+        int(mujoco.mjtJoint.mjJNT_FREE): "free",
+    }
 
 
 @dataclass(frozen=True)
@@ -114,7 +120,7 @@ def joint_name(model: mujoco.MjModel, joint: int) -> str:
 
 def joint_kind(model: mujoco.MjModel, joint: int) -> Kind:
     """Return the kind of a joint: ``hinge``, ``slide``, ``ball`` or ``free``."""
-    return _KINDS[int(model.jnt_type[joint])]
+    return _kinds()[int(model.jnt_type[joint])]
 
 
 def bodies_below(model: mujoco.MjModel, root: int) -> list[int]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gctd3.files import check_writable, new_file
+from gctd3.progress import tracked
 from gctd3.runs.load import load_run
 from gctd3.runs.settings import RenderSettings
 from gctd3.viz.film import check_camera, check_video, draw, record, sheet, stride, write_animation
@@ -38,13 +39,16 @@ def render_run(settings: RenderSettings) -> Path:
         most = None if settings.seconds is None else max(1, round(settings.seconds / dt))
         walk = record(policy, task, settings.seed, most)
         every = stride(settings.speed, dt)
-        frames = draw(walk, robot, np.arange(0, len(walk.qpos), every), settings.camera, size, dt)
+        steps = np.arange(0, len(walk.qpos), every)
+        frames = tracked(draw(walk, robot, steps, settings.camera, size, dt), "drawing pictures", len(steps))
         write_animation(out, frames, settings.speed / (every * dt))
         return out
     walk = record(policy, task, settings.seed)
     first = int(np.argmax(walk.position >= min(settings.begin, walk.position[-1] / 2)))
     steps = first + settings.every * np.arange(settings.columns * settings.rows)
-    page = sheet(list(draw(walk, robot, steps[steps < len(walk.qpos)], settings.camera, size, dt)), settings.columns)
+    steps = steps[steps < len(walk.qpos)]
+    pictures = draw(walk, robot, steps, settings.camera, size, dt)
+    page = sheet(list(tracked(pictures, "drawing pictures", len(steps))), settings.columns)
     with new_file(out) as aside, aside.open("wb") as file:
         page.save(file, format="PNG")
         os.fsync(file.fileno())

@@ -21,6 +21,7 @@ from gctd3.evaluation.robustness import Examination
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize, why_missing
 from gctd3.files import made, new_file, unwritable, write_text
+from gctd3.progress import StatusLine
 from gctd3.robots.robot import Robot
 from gctd3.runs.settings import EvaluateSettings
 from gctd3.tasks.task import check_able
@@ -100,7 +101,8 @@ def measure_run(settings: EvaluateSettings) -> tuple[dict[str, object], str | No
     task = run.setup.task.with_reward(reward)
     env = build_env(task, run.settings.env.for_evaluation(settings.episodes, settings.threads), settings.seed)
     walks, dt = "film" in task.abilities, task.control_dt
-    result = evaluate(policy, env, task, settings.seed, record=walks)
+    with StatusLine() as line:
+        result = evaluate(policy, env, task, settings.seed, record=walks, line=line)
     robot = task.robot.path.stem
     about: dict[str, object] = {"robot": robot, "reward": reward.to_dict()} if walks else {"task": task.name}
     report: dict[str, object] = {

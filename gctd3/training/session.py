@@ -18,6 +18,7 @@ from gctd3.errors import RunError
 from gctd3.files import refuse_links, remove, remove_empty, remove_leftovers, shown
 from gctd3.robots.own_copy import has_robot, keep_robot
 from gctd3.signals import StopRequest
+from gctd3.training.announcements import best_text, closing, opening
 from gctd3.training.own_process import in_own_process
 from gctd3.training.run_lock import only_one
 from gctd3.training.saved_configuration import CONFIG, changed, changes_of_arithmetic, load_config, save_config
@@ -115,30 +116,30 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
         if not (resumed and has_robot(run)):
             keep_robot(setup.robot, run)
         save_config(run, config, overrides)
-        print(OmegaConf.to_yaml(config))
+        print(opening(config, setup.task.name, run))
         if settings.replay.mirror:
             print(setup.mirror_check)
         if differs is not None:
             print(differs)
-        print(f"Run directory: {shown(run)}\n", flush=True)
+        print(flush=True)
         if setup.robot.origin:
             print(f"{setup.robot.origin}\n", flush=True)
         if trainer.finished and sweeping:
             print("It is finished already.")
         elif trainer.finished:
             raise RunError(
-                f"{run} is finished after {trainer.counters.frames:,} steps. To train on, raise total_frames, and "
+                f"{run} is finished after {trainer.counters.frames:,} frames. To train on, raise total_frames, and "
                 "stop_when.evaluations or stop_when.evaluations=null if its conditions ended it."
             )
         # From here on there is a result, which does not depend on who reads about it.
         with enduring_output():
             trainer.run(stop)
-            print(_summary(trainer.best, run, config, walks))
+            print(closing(trainer.best, run, config, walks, trainer.finished))
             if not trainer.finished:
                 print(f"Continue it:  {again(config, 'train', f'resume={run}')}")
     if stop.file is not None:
         with enduring_output():
-            print(f"{shown(run)}: {'stopped' if stop else 'done'}. {_best_text(trainer.best, walks)}", flush=True)
+            print(f"{shown(run)}: {'stopped' if stop else 'done'}. {best_text(trainer.best, walks)}", flush=True)
     return trainer.best
 
 
@@ -175,25 +176,3 @@ def value(best: dict[str, float] | None) -> float:
     """Return the result of a run for a sweeper, which is always finite."""
     # Not NaN, at which a search ends (hydra-optuna-sweeper 1.3.0), whatever failures it allows.
     return WORST if best is None or not math.isfinite(best["return_mean"]) else best["return_mean"]
-
-
-def _summary(best: dict[str, float] | None, run: Path, config: DictConfig, walks: bool) -> str:
-    """Return the best evaluation and how to look at the policy; only the walking task can be drawn."""
-    advice = f"\nEvaluate it over 50 episodes:  {again(config, 'evaluate', f'run={run}', 'episodes=50')}"
-    advice += f"\nWatch it walk:  {again(config, 'view', f'run={run}')}" if walks else ""
-    return f"\n{_best_text(best, walks)}{advice if best is not None else ''}"
-
-
-def _best_text(best: dict[str, float] | None, walks: bool) -> str:
-    """Describe the best evaluation by its task's figures: a library's has no success rate, its robot may be fixed."""
-    if best is None:
-        return "It has not been evaluated yet, so it has no best policy."
-    figures = [f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}"]
-    if walks:
-        figures.append(f"success {best['success_rate']:.0%}")
-    if walks or best["distance_mean"]:
-        figures.append(f"{best['distance_mean']:.1f} m at {best['velocity_mean']:.2f} m/s")
-    return (
-        f"Best evaluation, after {best['frames']:,.0f} steps and {best['wall_s'] / 60:.1f} minutes: "
-        f"{', '.join(figures)}."
-    )

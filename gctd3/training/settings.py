@@ -12,6 +12,7 @@ from gctd3.envs.settings import MOST_ROBOTS, MOST_THREADS, EnvSettings
 from gctd3.envs.simulation import substeps_of
 from gctd3.errors import ConfigError, check_between, check_seed
 from gctd3.nn.settings import NetworkSettings
+from gctd3.requirements import check_dm_control
 from gctd3.robots.settings import GivenRobot, RobotSettings
 from gctd3.setup.setup import Setup
 from gctd3.tasks.reward import Reward
@@ -205,6 +206,9 @@ class TrainSettings:
 
         Raises:
             ConfigError: If a setting does not fit it.
+            PackageError: If a package is missing.
         """
         check_index(self.device)
+        if self.env.backend == "dm_control":
+            check_dm_control("env.backend=dm_control")
         self.collector.check_here(self.env.num_envs)

@@ -42,7 +42,7 @@ from gctd3.training.device import pick_device
 from gctd3.training.diagnosis import why_given_up
 from gctd3.training.give_up import Watch
 from gctd3.training.initial_networks import begin_from
-from gctd3.training.progress import Counters
+from gctd3.training.progress import Counters, ProgressLine
 from gctd3.training.rng_state import load_random_state, random_state, seed_all
 from gctd3.training.run_log import RunLog
 from gctd3.training.settings import TrainSettings
@@ -156,15 +156,14 @@ class Trainer:
             self._begin_from_a_run()
         self._clock = began = time.monotonic()
         limit = math.inf if self.settings.time_limit is None else 60.0 * self.settings.time_limit
-        shown = {"unit": " steps", "unit_scale": True, "smoothing": 0.05, "mininterval": 0.5, "dynamic_ncols": True}
         with (
             self.log,
             contextlib.closing(self.collector),
-            tqdm(total=self.settings.total_frames, initial=self.counters.frames, **shown) as bar,
+            ProgressLine(self.settings.total_frames, self.counters.frames) as line,
         ):
             try:
                 while not self.finished and not stop and time.monotonic() - began < limit:
-                    self._iterate(bar)
+                    self._iterate(line)
                     if self._wall() >= self._next_save:
                         self.save()
             except WorkerError as error:
@@ -175,15 +174,15 @@ class Trainer:
         self.evaluation_env.close(raise_if_closed=False)
         return self.best
 
-    def _iterate(self, bar: tqdm[Any]) -> None:
+    def _iterate(self, line: ProgressLine) -> None:
         """Collect, update, and evaluate if it is time."""
         seen: dict[str, TensorDictBase] = {}
         try:
-            self._learn(bar, seen)
+            self._learn(line, seen)
         except NumericalError as error:
             raise self._post_mortem(error, {"collected": self.collector.latest, **seen}) from error
 
-    def _learn(self, bar: tqdm[Any], seen: dict[str, TensorDictBase]) -> None:
+    def _learn(self, line: ProgressLine, seen: dict[str, TensorDictBase]) -> None:
         settings, now = self.settings, self.counters
         seen["collected"] = collected = self.collector.collect()
         check_collected(collected)
@@ -200,7 +199,7 @@ class Trainer:
         now.frames += collected.numel()
         now.episodes += int(collected["next", "done"].sum())
         now.diverged += int(collected["next", "diverged"].sum())
-        bar.update(collected.numel())
+        line.advance(collected.numel())
         if (failure := self.watch.judge(collected, now.frames)) is not None:
             raise TrainingError(why_given_up(failure, self.watch.seen, settings, self.setup.task, now.frames))
         if now.frames < now.next_evaluation and not self._spent:
@@ -208,12 +207,12 @@ class Trainer:
         now.next_evaluation += settings.evaluation.every
         row = self._evaluate()
         self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
-        bar.set_postfix(self._postfix(row), refresh=True)
+        line.evaluated(self._figures(row))
         now.in_a_row = now.in_a_row + 1 if settings.stop_when.all_reached(row) else 0
         if now.in_a_row:
             now.promising = now.frames
         elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
-            self._begin_again(bar)
+            self._begin_again(line)
 
     def _imitate(self) -> None:
         """Let the actor begin as the fittest gait of the warm-up, if it is asked to."""
@@ -233,11 +232,11 @@ class Trainer:
             task = cast(SimulatedTask, task)
             self.algorithm.imitation = Imitation(settings, lambda seen: gait.fittest_action(task.phase(seen["nodes"])))
 
-    def _begin_again(self, bar: tqdm[Any]) -> None:
+    def _begin_again(self, line: ProgressLine) -> None:
         """Begin again with new weights, an empty replay and a warm-up; keep the best policy and, inline, the robots."""
         now = self.counters
-        bar.write(
-            f"After {now.frames:,} steps: no evaluation in {now.frames - now.promising:,} met all conditions. "
+        line.write(
+            f"After {now.frames:,} frames: no evaluation in {now.frames - now.promising:,} met all conditions. "
             "It begins again with new weights; the best policy is kept."
         )
         self.algorithm, self.explorer = self._new_learner()
@@ -370,7 +369,7 @@ class Trainer:
     def _post_mortem(self, error: NumericalError, seen: Mapping[str, TensorDictBase]) -> NumericalError:
         """Save the data needed to find the cause, and return the error that says where they are."""
         target = self.directory / POST_MORTEM
-        message = f"After {self.counters.frames:,} steps and {self.counters.updates:,} updates, {error}."
+        message = f"After {self.counters.frames:,} frames and {self.counters.updates:,} updates, {error}."
         if target.exists():
             return NumericalError(f"{message} {target} already holds the data of an earlier failure.")
         with new_directory(target) as aside:
@@ -384,10 +383,9 @@ class Trainer:
             f"The newest checkpoint is of an earlier moment; {advice}."
         )
 
-    def _postfix(self, row: Mapping[str, float]) -> dict[str, str]:
+    def _figures(self, row: Mapping[str, float]) -> dict[str, str]:
         best = self.best if self.best is not None else row
         shown = {
-            "updates/s": f"{row['updates'] / max(row['wall_s'], 1e-9):.0f}",
             "return": f"{row['return_mean']:.0f}",
             **({"success": f"{row['success_rate']:.0%}"} if "film" in self.setup.task.abilities else {}),
             "best": f"{best['return_mean']:.0f}",

@@ -4,7 +4,7 @@ import pytest
 from made_up_runs import examined, make
 from running import command
 
-pytest.importorskip("rliable")
+pytest.importorskip("matplotlib")
 
 from gctd3.comparison.report import report
 from gctd3.comparison.settings import ReportSettings

@@ -8,7 +8,7 @@ import pytest
 from made_up_runs import make
 from running import command
 
-pytest.importorskip("rliable")
+pytest.importorskip("matplotlib")
 
 from gctd3.comparison.comparability import check_episodes, check_seeds, check_together
 from gctd3.comparison.groups import groups_of

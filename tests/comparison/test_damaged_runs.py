@@ -6,7 +6,7 @@ import pytest
 from made_up_runs import make
 from running import command
 
-pytest.importorskip("rliable")
+pytest.importorskip("matplotlib")
 
 from gctd3.comparison.report import report
 from gctd3.comparison.runs import find_runs, lost_runs

@@ -7,7 +7,7 @@ import pytest
 from made_up_runs import make
 from running import command, rows
 
-pytest.importorskip("rliable")
+pytest.importorskip("matplotlib")
 
 from gctd3.comparison.equal_time import reached, time_limit, uneven
 from gctd3.comparison.groups import groups_of

@@ -2,7 +2,7 @@
 
 import pytest
 
-pytest.importorskip("rliable")
+pytest.importorskip("matplotlib")
 
 from gctd3.comparison.gaits import gaits
 from gctd3.comparison.runs import Run

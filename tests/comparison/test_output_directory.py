@@ -6,7 +6,7 @@ import pytest
 from made_up_runs import examined, make
 from running import command
 
-pytest.importorskip("rliable")
+pytest.importorskip("matplotlib")
 
 from gctd3.comparison.output_directory import check_place, in_place
 from gctd3.comparison.report import report

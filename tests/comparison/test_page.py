@@ -15,7 +15,7 @@ from gctd3.errors import RenderError
 from gctd3.training.saved_configuration import CONFIG, find_run
 from gctd3.viz.offscreen import find_backend
 
-pytest.importorskip("rliable")
+pytest.importorskip("matplotlib")
 from gctd3.comparison import filmstrips
 from gctd3.comparison.gaits import GAIT
 

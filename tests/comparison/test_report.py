@@ -11,7 +11,7 @@ from running import command
 
 from gctd3.errors import RunError
 
-pytest.importorskip("rliable")
+pytest.importorskip("matplotlib")
 from gctd3.comparison.comparability import check_together
 from gctd3.comparison.figures import inline
 from gctd3.comparison.groups import differences, groups_of

@@ -1,18 +1,78 @@
 """The report's statistics equal hand arithmetic and rliable, and intervals cover as often as they should."""
 
+import itertools
+
 import numpy as np
 import pytest
 
-pytest.importorskip("rliable")
-from rliable import metrics
+from gctd3.comparison.statistics import (
+    REPETITIONS,
+    Interval,
+    bootstrap,
+    higher,
+    improvement,
+    interval,
+    intervals,
+    iqm,
+    profile,
+)
 
-from gctd3.comparison.statistics import Interval, higher, improvement, interval, intervals, iqm, profile
+# Runs of two groups, and what rliable 1.2.0 with arch 7.2.0 says of them: `pip install rliable 'pandas<3'`, then
+# np.random.seed(0) before each library.get_interval_estimates(..., reps=2000), of metrics.aggregate_iqm for OURS, and
+# of metrics.probability_of_improvement for [OURS, THEIRS], all with shape [R, 1].
+OURS, THEIRS = [483.2, 532.1, 595.5, 486.6, 540.2], [551.6, 480.7, 591.4, 500.3]
+IQM_OF_OURS, OURS_AHEAD = (519.6333333333333, 485.4666666666667, 574.3666666666667), (0.5, 0.0, 0.9)
+
+
+def rliable():
+    """Return rliable's library and metrics, for what is compared with them where rliable is installed."""
+    pytest.importorskip("rliable")
+    from rliable import library, metrics
+
+    return library, metrics
+
+
+def test_statistics_are_those_that_rliable_gave():
+    found = interval(OURS)
+    assert (found.value, found.low, found.high) == pytest.approx(IQM_OF_OURS, abs=1e-9)
+    found = improvement(OURS, THEIRS)
+    assert (found.value, found.low, found.high) == pytest.approx(OURS_AHEAD, abs=1e-9)
 
 
 @pytest.mark.parametrize("count", [1, 3, 4, 5, 8, 10])
 def test_iqm_is_rliables(count):
+    _, metrics = rliable()
     scores = np.random.default_rng(count).normal(size=(count, 1))
     assert iqm(scores)[0] == pytest.approx(metrics.aggregate_iqm(scores))
+
+
+@pytest.mark.parametrize("sizes", [(5,), (2,), (5, 4), (3, 7)])
+def test_intervals_are_rliables(sizes):
+    library, metrics = rliable()
+    rng = np.random.default_rng(sum(sizes))
+    groups = [rng.normal(500.0, 50.0, size=(size, 1)) for size in sizes]
+    function = metrics.aggregate_iqm if len(groups) == 1 else metrics.probability_of_improvement
+    state = np.random.get_state()
+    np.random.seed(0)
+    try:
+        point, ends = library.get_interval_estimates(
+            {"all": groups if len(groups) > 1 else groups[0]},
+            lambda *drawn: np.array([function(*drawn)]),
+            reps=REPETITIONS,
+        )
+    finally:
+        np.random.set_state(state)
+    ours = bootstrap(iqm if len(groups) == 1 else higher, *groups)
+    assert ours[0] == pytest.approx(point["all"]) and ours[1] == pytest.approx(ends["all"])
+
+
+@pytest.mark.parametrize("runs", [[0.0, 1.0], [0.0, 1.0, 10.0], [0.0, 1.0, 10.0, 100.0]])
+def test_intervals_are_those_of_every_draw_there_is(runs):
+    """Of R runs there are R^R equally likely draws: the ends lie between their percentiles on both sides of 2.5 %."""
+    every = np.sort([iqm(np.array(drawn)) for drawn in itertools.product(runs, repeat=len(runs))])
+    found = interval(runs)
+    low, high = (np.percentile(every, ends, method="inverted_cdf") for ends in ((1.5, 3.5), (96.5, 98.5)))
+    assert low[0] <= found.low <= low[1] and high[0] <= found.high <= high[1]
 
 
 def test_iqm_by_hand():
@@ -45,6 +105,7 @@ def test_probability_of_improvement_by_hand():
     assert found.value == 0.75 and 0.0 <= found.low <= 0.75 <= found.high <= 1.0
     assert improvement([1.0, 1.0], [1.0, 1.0]).value == 0.5
     x, y = np.random.default_rng(2).normal(size=(2, 7, 1))
+    _, metrics = rliable()
     assert higher(x, y)[0] == pytest.approx(metrics.probability_of_improvement(x, y))
 
 

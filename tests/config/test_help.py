@@ -37,6 +37,19 @@ def test_every_command_is_listed():
 
 
 @pytest.mark.parametrize("command", COMMANDS)
+def test_help_is_light(command):
+    """Neither simulator, nor learner, nor Hydra is needed to say which keys there are."""
+    code = (
+        "import runpy, sys\n"
+        f"sys.argv = ['gctd3', '--help']\nrunpy.run_module('gctd3.{command}', run_name='__main__')\n"
+        "heavy = {'torch', 'torchrl', 'tensordict', 'mujoco', 'hydra', 'omegaconf', 'gymnasium', 'dm_control'}\n"
+        "print(sorted(heavy & {name.split('.')[0] for name in sys.modules}), file=sys.stderr)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stderr.strip() == "[]" and "Keys (key=default):" in said.stdout
+
+
+@pytest.mark.parametrize("command", COMMANDS)
 def test_help_has_every_key_with_its_default_and_what_it_means(command):
     plain = yaml.safe_load(file(command).read_text(encoding="utf-8"))
     defaults = {k: v for item in plain.get("defaults", []) if isinstance(item, dict) for k, v in item.items()}

@@ -7,9 +7,9 @@ import pytest
 import torch
 from compositions import env_of, walking
 from running import Recorded, command, rows, tiny, train
+from suite_robots import load
 from torchrl.envs import Compose, Transform, TransformedEnv
 
-from gctd3.envs import dmc
 from gctd3.envs.check import CheckStep
 from gctd3.envs.simulation import BEGINNING, Simulation
 from gctd3.errors import NumericalError
@@ -91,7 +91,7 @@ def test_a_number_that_is_none_ends_the_training(tmp_path, capsys, fault):
     assert command("train", *tiny(run), trainer=poisoned(remember)) == 2
     error = capsys.readouterr().err.split("error: ")
     assert len(error) == 2 and "Traceback" not in error[1]
-    assert "After 100 steps and " in error[1] and said in error[1] and str(run / "post_mortem") in error[1]
+    assert "After 100 frames and " in error[1] and said in error[1] and str(run / "post_mortem") in error[1]
     # Files saved before are unchanged.
     assert before and contents(run / "checkpoints") == before
     assert Checkpoints(run).newest() is not None
@@ -237,7 +237,7 @@ def test_a_batched_robot_that_explodes_falls_alone(robot, age, control_dt, tmp_p
 
 
 def test_a_dm_control_robot_that_explodes_falls(task):
-    env = dmc.load(task, 0)
+    env = load(task, 0)
     for age in (0, 5):
         env.reset()
         for _ in range(age):
@@ -262,8 +262,8 @@ def test_a_divergence_is_counted(tmp_path, backend):
     shown = []
 
     class Watched(poisoned(explode)):
-        def _postfix(self, row):
-            shown.append(super()._postfix(row))
+        def _figures(self, row):
+            shown.append(super()._figures(row))
             return shown[-1]
 
     run = tmp_path / "run"

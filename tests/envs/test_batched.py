@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 from compositions import STILL, env_of, reward, walk, walking
+from suite_robots import load
 from torchrl.envs.utils import check_env_specs
 
-from gctd3.envs import dmc
 from gctd3.envs.factory import make_env
 from gctd3.envs.settings import EnvSettings
 from gctd3.envs.simulation import Simulation, substeps_of
@@ -55,7 +55,7 @@ def copy_state(simulation, i, env):
 
 def assert_parity(task, n, policy):
     """Assert that both backends agree on every step of the policy; return how many episodes ended in which way."""
-    simulation, envs, seen = started(task, n), [dmc.load(task) for _ in range(n)], Counter()
+    simulation, envs, seen = started(task, n), [load(task) for _ in range(n)], Counter()
     for i, env in enumerate(envs):
         copy_state(simulation, i, env)
     for action in policy:

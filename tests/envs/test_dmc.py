@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 import torch
 from compositions import STILL, env_of, walking
-from dm_env import StepType
+from suite_robots import why_not
 from torchrl.envs.utils import check_env_specs
 
-from gctd3.envs import dmc
 from gctd3.envs.factory import make_env
+
+if why_not():
+    pytest.skip(why_not(), allow_module_level=True)
+from dm_env import StepType
+
+from gctd3.envs import dmc
 
 FALL_AT_ONCE = {"fall_height": 1.0}  # every body is lower than 1 m above standing
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 from compositions import library_env, library_task
-from dm_control import suite
 from robots import FREE_LEGS, write
 from running import command, rows, tiny, train
 from tensordict import TensorDict
@@ -30,7 +29,7 @@ WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episod
 @pytest.mark.parametrize(
     "task, nodes, actions",
     [
-        ("walker_walk", 9, 6),
+        pytest.param("walker_walk", 9, 6, marks=pytest.mark.dm_control),
         ("walker2d", 9, 6),
         pytest.param("halfcheetah", 9, 6, marks=pytest.mark.nightly),
         pytest.param("ant", 15, 8, marks=pytest.mark.nightly),
@@ -97,7 +96,10 @@ def test_rewards_and_ways_are_the_tasks_own():
     assert np.std(seen) > 0 and state["nodes"].shape == (2, 9, 4)
 
 
+@pytest.mark.dm_control
 def test_dm_controls_period_and_time_limit():
+    from dm_control import suite
+
     task = library_task("dm_control", "walker-walk")
     assert task.control_dt == suite.load("walker", "walk").control_timestep() == 0.025
     env = library_env("dm_control", "walker-walk")
@@ -122,6 +124,7 @@ def test_actions_are_scaled_to_the_limits_of_the_task():
     np.testing.assert_allclose(inner.data.qvel, theirs.unwrapped.data.qvel, atol=1e-3)
 
 
+@pytest.mark.dm_control
 def test_actions_of_dm_control_are_scaled_too():
     env = library_env("dm_control", "quadruped-walk")
     physics = env.base_env.robots[0]._env.physics

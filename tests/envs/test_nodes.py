@@ -18,7 +18,7 @@ SUITE = {
     "quadruped-walk": 1 + 4 + 16 + 2,
 }
 GYM = {"Walker2d-v5": 9, "HalfCheetah-v5": 9, "Ant-v5": 1 + 4 + 8 + 2}
-EVERY = [*SUITE, *GYM]
+EVERY = [*(pytest.param(name, marks=pytest.mark.dm_control) for name in SUITE), *GYM]
 
 
 def base_env(name):

@@ -8,11 +8,11 @@ from compositions import env_of, reward, walk, walking
 from own_terms import AskedSpeed, FollowSpeed, MissedSpeed
 from resuming import assert_same_run, stopped
 from running import command, train
+from suite_robots import load
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 import gctd3
-from gctd3.envs import dmc
 from gctd3.envs.checkpointing import env_state, load_env_state
 from gctd3.envs.gym import BipedEnv
 from gctd3.errors import ConfigError
@@ -92,6 +92,7 @@ def test_the_feature_and_the_reward_read_the_same_command(mine):
         state = {"nodes": torch.from_numpy(mine.node_features(simulation.now, simulation.memory))}
 
 
+@pytest.mark.dm_control
 def test_dm_control_runs_it(mine):
     env = env_of(mine, backend="dm_control", num_envs=2)
     check_env_specs(env)
@@ -108,7 +109,7 @@ def test_dm_control_runs_it(mine):
 
 def test_dm_control_agrees_with_the_batched_one(mine):
     """From equal states and commands both backends agree; the commands are copied, since their generators differ."""
-    env = dmc.load(mine, random=0)
+    env = load(mine, random=0)
     env.reset()
     held = env.task.state_dict()["memory"]
     simulation = env_of(mine, num_envs=1).base_env.simulation

@@ -77,8 +77,7 @@ def test_reflection_is_what_replay_mirrors(either):
 
 @pytest.mark.parametrize("task", ["walker", "humanoid", "quadruped"])
 def test_reflection_of_robots_with_base_nodes_and_many_feet(task):
-    from dm_control import suite  # not for the tests above
-
+    suite = pytest.importorskip("dm_control.suite")
     model = suite.load(task, "walk").physics.model.ptr
     robot = Robot.from_mjcf(model)
     graph, matrix = KinematicGraph.from_robot(robot), Reflection.from_robot(robot).frame.matrix

@@ -107,13 +107,19 @@ INSTEAD = {
 }
 NEEDS = {
     "view": ["mjviser"],
-    "report": ["rliable"],
+    "report": ["matplotlib"],
     "render": ["imageio_ffmpeg"],
     "export": ["onnxscript", "onnxruntime"],
     "benchmarks/yardsticks.py": ["stable_baselines3", "matplotlib"],
 }
 # Run by the continuous integration, in a fresh environment.
-INSTALL = {'pip install -e ".[test]"', "pip install -e .", "pytest"}
+INSTALL = {
+    'pip install -e ".[test]"',
+    "pip install -e .",
+    "pytest",
+    "pip install uv",
+    'uv pip install --torch-backend=cpu "torch<2.15"',
+}
 
 
 @pytest.fixture(scope="module")

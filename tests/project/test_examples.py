@@ -3,6 +3,8 @@
 import ast
 import importlib
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -41,6 +43,12 @@ def test_help(name, capsys):
     assert end.value.code == 0
     said = capsys.readouterr().out
     assert module.__doc__.splitlines()[0] in said and "--frames" in said and "--seed" in said
+
+
+def test_tune_names_the_package_that_it_needs():
+    code = "import runpy, sys; sys.modules['optuna'] = None; runpy.run_path('tune.py', run_name='__main__')"
+    said = subprocess.run([sys.executable, "-c", code], cwd=EXAMPLES, capture_output=True, text=True)
+    assert said.returncode == 1 and said.stderr == "error: examples/tune.py needs optuna: pip install 'optuna>=4'\n"
 
 
 def test_ppo(capsys):

@@ -17,7 +17,7 @@ import gctd3
 ROOT = Path(gctd3.__file__).parent
 # Rooms from the bottom up: a module imports from its own room and from those below it. At the top level stand the
 # foundations, which everything may use, and the commands, which nothing may.
-FOUNDATIONS = ("errors", "files", "signals", "compat")
+FOUNDATIONS = ("errors", "files", "signals", "compat", "progress", "requirements")
 ROOMS = (
     "config",
     "robots",
@@ -38,7 +38,7 @@ ROOMS = (
 DOORS = ("train", "evaluate", "view", "render", "export", "graph", "report", "__main__")
 ASSETS = ("conf", "models")  # installed with the package, and not Python
 MOST_FILES, MOST_LINES = 16, 60  # at the top level; of a command
-HEAVY = ("hydra", "dm_control", "torch", "torchrl", "mujoco")
+HEAVY = ("hydra", "dm_control", "torch", "torchrl", "mujoco", "gymnasium", "numpy")
 
 
 def modules(root=ROOT):
@@ -189,6 +189,13 @@ def test_yaml_names_the_front_door():
 def test_the_front_door_imports_nothing_until_it_is_used():
     names = f"name in {HEAVY} or name.startswith('gctd3.')"
     assert fresh(f"import gctd3, sys; print([name for name in sys.modules if {names}])") == "[]"
+
+
+@pytest.mark.parametrize("order", ["gctd3, gymnasium", "gymnasium, gctd3"])
+def test_gymnasium_knows_the_robot_whichever_is_imported_first(order):
+    code = f"import {order}\nprint(gymnasium.spec('gctd3/Biped-v0'))"
+    assert "gctd3/Biped-v0" in fresh(code)
+    assert fresh("import importlib.util, gctd3; importlib.util.find_spec('gymnasium')\n" + code) == fresh(code)
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 from compositions import STILL, walking
+from suite_robots import load
 
-from gctd3.envs.dmc import load
 from gctd3.envs.simulation import Simulation
 from gctd3.errors import RobotError
 from gctd3.robots.completion import complete

@@ -1,21 +1,17 @@
 """Joints are paired with their mirror images, and robots without a valid reflection are refused."""
 
-from pathlib import Path
-
-import dm_control.suite
 import mujoco
 import pytest
 from compositions import walking
 from robots import FREE_LEGS, TWO_LEGS, write
 from running import Recorded, command, tiny, train
+from suite_robots import suite
 
 from gctd3.errors import RobotError
 from gctd3.robots.mirror_check import check_mirror
 from gctd3.robots.mirror_pairs import pair_joints, swap_side
 from gctd3.robots.robot import Robot
 from gctd3.tasks.reflection import Reflection
-
-CMU = Path(dm_control.suite.__file__).parent / "humanoid_CMU.xml"
 
 
 def crooked(text):
@@ -50,8 +46,9 @@ def test_a_side_glued_to_a_name_pairs_joints_of_one_kind_only(tmp_path):
     assert Robot.from_mjcf(write(tmp_path, slide)).mirror == {"rear": "rear", "lear": "lear"}
 
 
+@pytest.mark.dm_control
 def test_every_limb_of_the_cmu_humanoid_has_its_other_side():
-    robot = Robot.from_mjcf(CMU)
+    robot = Robot.from_mjcf(suite("humanoid_CMU.xml"))
     trunk = ("lowerback", "upperback", "thorax", "lowerneck", "upperneck", "head")
     for name, other in robot.mirror.items():
         side = {"l": "r", "r": "l"}.get(name[0])

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from compositions import STILL, walking
 from robots import FREE_LEGS, TWO_LEGS, write
+from suite_robots import load
 
-from gctd3.envs.dmc import load
 from gctd3.envs.gym import BipedVectorEnv
 from gctd3.envs.simulation import BEGINNING, Simulation
 from gctd3.errors import RobotError

@@ -86,7 +86,7 @@ def test_without_a_run_commands_use_it_and_leave_it_alone(tmp_path, capsys):
     before = contents(find_run(None))
     assert command("evaluate", "episodes=2", "threads=1") == 0
     said = capsys.readouterr().out
-    assert re.search(r"success rate +1\.00", said) and "Written" not in said
+    assert re.search(r"success rate +1\.00", said) and "Written" not in said and "Nothing is written" in said
     assert contents(find_run(None)) == before
     assert not list(tmp_path.iterdir())
     assert command("evaluate", "episodes=1", "threads=1", f"out={tmp_path / 'new' / 'folder'}") == 0

@@ -193,7 +193,7 @@ class Crashing(Recorded):
 
 
 def test_a_crashed_run_is_named_and_the_others_go_on(tmp_path, capsys):
-    pytest.importorskip("rliable")
+    pytest.importorskip("matplotlib")
     assert command("train", *arguments(tmp_path / "sweep"), trainer=Crashing) == 2
     out, error = capsys.readouterr()
     # Hydra tells no callback of the end of a sweep in which a run failed.

@@ -168,7 +168,7 @@ def test_begins_again_when_no_evaluation_meets_all_conditions(tmp_path, capsys):
     assert [(row["frames"], row["restarts"]) for row in rows(run)] == [
         ("80", "0"), ("160", "0"), ("240", "1"), ("320", "1"), ("400", "2"),
     ]  # fmt: skip
-    assert "After 320 steps: no evaluation in 160 met all conditions. It begins again" in capsys.readouterr().out
+    assert "After 320 frames: no evaluation in 160 met all conditions. It begins again" in capsys.readouterr().out
     trainer = Recorded.last
     # Since 320: all of the last warm-up, and none of what came before.
     assert len(trainer.replay) == 80
