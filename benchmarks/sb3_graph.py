@@ -1,10 +1,10 @@
 """``GraphExtractor`` beside Stable-Baselines3's MLP: one algorithm, one robot, the same nodes observed.
 
     python benchmarks/sb3_graph.py out=FILE.json
-    python benchmarks/sb3_graph.py env=Hopper-v5 algo=ppo seeds=0,1,2,3,4 frames=200000 every=20000 out=FILE.json
+    python benchmarks/sb3_graph.py env=HalfCheetah-v5 algo=td3 seeds=0,1,2,3,4 frames=200000 every=20000 out=FILE.json
 
-Both sides have Stable-Baselines3's defaults, the same ``net_arch`` and the same observation: positions and velocities
-of the nodes in two frames. They differ in the features extractor: ``graph`` encodes the nodes by graph convolutions,
+Both sides have Stable-Baselines3's defaults, its fully connected layers too, and the same observation: positions and
+velocities of the nodes in two frames. They differ in the features extractor: ``graph`` encodes the nodes by graph convolutions,
 ``mlp`` is Stable-Baselines3's own for a ``Dict``, which puts them side by side. Every ``every`` frames the
 deterministic policy is evaluated over ``episodes`` episodes, from the same starts. Trainings run one after another,
 seed by seed. Each is written to ``out`` as soon as it is over; those that ``out`` holds are not made again, so that the
@@ -37,7 +37,6 @@ from gctd3.sb3 import GraphExtractor, NodeObservation
 SIDES = ("graph", "mlp")
 ALGORITHMS = ("td3", "sac", "ppo")
 HISTORY = 2
-HIDDEN = (256, 256)
 ACTION_NOISE = 0.1  # standard deviation of TD3's exploration, its authors'; Stable-Baselines3's default is none
 FIRST_START = 10_000  # seed of the evaluations' starts, far from those of the trainings
 # Which results belong together.
@@ -74,9 +73,9 @@ def make(name: str) -> NodeObservation:
 
 def model_of(side: str, algo: str, env: NodeObservation, seed: int) -> BaseAlgorithm:
     """Stable-Baselines3's algorithm with one of the two features extractors, on the CPU."""
-    policy: dict[str, Any] = {"net_arch": list(HIDDEN)}
+    policy: dict[str, Any] = {}
     if side == "graph":
-        policy |= {"features_extractor_class": GraphExtractor, "features_extractor_kwargs": {"graph": env.graph}}
+        policy = {"features_extractor_class": GraphExtractor, "features_extractor_kwargs": {"graph": env.graph}}
     more = {}
     if algo == "td3":
         zero = np.zeros(env.action_space.shape)
@@ -153,13 +152,13 @@ def compared(runs: list[Run]) -> dict[str, object]:
 def main() -> None:
     """Train what is missing, compare."""
     given = options(
-        env="HalfCheetah-v5",
-        algo="td3",
+        env="Hopper-v5",
+        algo="ppo",
         sides=",".join(SIDES),
         seeds="0,1,2",
-        frames="10000",
-        every="2500",
-        episodes="3",
+        frames="40960",
+        every="8192",
+        episodes="10",
         threads="1",
         out="",
     )
@@ -187,7 +186,6 @@ def write(runs: list[Run], given: dict[str, str]) -> None:
     content: dict[str, object] = {
         "options": {key: given[key] for key in KEPT},
         "history": HISTORY,
-        "net_arch": HIDDEN,
         "action_noise": ACTION_NOISE if given["algo"] == "td3" else None,
         "versions": {"stable-baselines3": stable_baselines3.__version__, "torch": torch.__version__},
         "comparison": compared(runs),
