@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
@@ -78,7 +78,11 @@ class BatchedVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return an attribute, which all robots share, once for each of ``indices``."""
-        return [getattr(self.env, attr_name)] * len(list(self._get_indices(indices)))
+        owner: Any = self.env
+        # Gymnasium's wrappers of vector environments do not hand attributes on.
+        while not hasattr(owner, attr_name) and isinstance(owner, VectorWrapper):
+            owner = owner.env
+        return [getattr(owner, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:  # noqa: ANN401
         """Set an attribute of all robots.
