@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
+from gctd3.comparison.cells import Cell, count, mean_and_range
 from gctd3.comparison.runs import Run
-from gctd3.comparison.tables import MEANING, UNIT, Table, mean_and_range
+from gctd3.comparison.tables import MEANING, UNIT, Table
 from gctd3.comparison.verdict import scores
 from gctd3.evaluation.gait_metrics import circular_mean
 from gctd3.evaluation.quantities import ASYMMETRY, QUANTITIES, SINGLE, TOUCHDOWNS, quantity
@@ -20,7 +21,7 @@ def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
     """Return the table of gait metrics with their definitions: mean, lowest and highest over seeds; no empty rows."""
     keys = sorted({key for runs in groups.values() for run in runs for key in run.gait if key.startswith(ASYMMETRY)})
     joints = [quantity(key) for key in keys]
-    counts = [f"{sum(bool(run.gait) for run in runs)} of {len(runs)}" for runs in groups.values()]
+    counts = [count(sum(bool(run.gait) for run in runs), len(runs)) for runs in groups.values()]
     evaluated = ["seeds evaluated here", "", *counts, "seeds with an episode that got 10 m far"]
     rows = []
     for key, name, unit, digits, meaning in (*GAIT, *joints):
@@ -37,7 +38,7 @@ def gaits(groups: Mapping[str, Sequence[Run]]) -> Table:
     )
 
 
-def _gait_cell(runs: Sequence[Run], key: str, digits: int) -> str:
+def _gait_cell(runs: Sequence[Run], key: str, digits: int) -> Cell:
     """Return a metric's mean over seeds and range, and how many seeds lack it, with the reason."""
     known = scores(runs, key)
     if key == "phase_offset" and known:
@@ -46,5 +47,8 @@ def _gait_cell(runs: Sequence[Run], key: str, digits: int) -> str:
         known = [mean + (phase - mean + 0.5) % 1.0 - 0.5 for phase in known]
     gaits = [run.gait for run in runs]
     lacking = Counter(why_missing(gait, key) for gait in gaits if key in gait and gait[key] is None)
-    parts = [mean_and_range(known, digits)] if known or not lacking else []
-    return "; ".join(parts + [f"{count} {why}" for why, count in lacking.items()])
+    reasons = [f"{seeds} {why}" for why, seeds in lacking.items()]
+    cell = mean_and_range(known, digits)
+    if not reasons:
+        return cell
+    return Cell("; ".join([*([cell] if known else []), *reasons]), {**cell.numbers, "lacking": "; ".join(reasons)})

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 
 from gctd3.comparison.figures import Picture
-from gctd3.comparison.tables import DIRECTORY, MEANING, OUTCOME, UNIT, Table
+from gctd3.comparison.tables import DIRECTORY, FINDING, MEANING, OUTCOME, UNIT, Table
 from gctd3.comparison.verdict import NOTHING
 
 CSS = """
@@ -25,6 +25,9 @@ h3 { font-size: 1rem; margin: 0 0 0.4rem; overflow-wrap: anywhere; }
 p, figcaption, .note { color: var(--soft); margin: 0.4rem 0; }
 figcaption, .note { font-size: 0.85rem; }
 nav { font-size: 0.9rem; } nav a { color: inherit; margin-right: 0.9rem; display: inline-block; }
+p.short { font-size: 1.1rem; color: var(--ink); margin: 0.4rem 0 0.9rem; }
+details { margin: 0.8rem 0; } summary { cursor: pointer; padding: 0.25rem 0; }
+details > .scroll, details > ul { margin-top: 0.5rem; }
 ul.verdict { padding: 0.8rem 1rem 0.8rem 2rem; background: var(--card); border: 1px solid var(--line);
   border-radius: 8px; } ul.verdict li { margin: 0.35rem 0; }
 .grid { display: grid; gap: 1rem; align-items: start;
@@ -45,8 +48,18 @@ th { background: var(--card); font-weight: 600; vertical-align: bottom; } tr:las
 th:first-child, td:first-child { position: sticky; left: 0; min-width: 8.5rem; }
 td:first-child { background: var(--paper); } td:first-child.meant { min-width: 14rem; }
 td.number { white-space: nowrap; } td.long { min-width: 11rem; }
-@media (max-width: 40rem) { td:first-child.meant { min-width: 9.5rem; } }
+@media (max-width: 40rem) { td:first-child.meant { min-width: 9.5rem; }
+  /* Comparisons: on a phone a block for each, with the names of its numbers, in place of a table that scrolls. */
+  .lines thead { display: none; } .lines table, .lines tbody { display: block; }
+  .lines tr { display: grid; grid-template-columns: 1.25fr 1.1fr 0.8fr; gap: 0 0.4rem; padding: 0.5rem 0.6rem;
+    border-bottom: 1px solid var(--line); }
+  .lines td, .lines td:first-child.meant { min-width: 0; padding: 0.15rem 0; border: 0; position: static; }
+  .lines td:first-child, .lines td.long { grid-column: 1 / -1; } .lines td:first-child { font-weight: 600; }
+  .lines small { font-weight: 400; white-space: normal; }
+  .lines td.number::before { content: attr(data-name); display: block; color: var(--soft); font-size: 0.75rem; } }
 """
+# Sections that are folded: what they hold is looked up, not read.
+FOLDED = ("Runs", "Settings")
 
 
 @dataclass(frozen=True)
@@ -62,24 +75,36 @@ class Row:
     wide: Sequence[Picture] = ()
 
 
-def page(title: str, about: str, sentences: Sequence[str], sections: Sequence[tuple[str, Sequence[object]]]) -> str:
-    """Return the page's HTML.
+def page(
+    title: str,
+    about: str,
+    sentences: Sequence[str],
+    sections: Sequence[tuple[str, Sequence[object]]],
+    compared: Table | None = None,
+) -> str:
+    """Return the page's HTML: the first sentence, the comparisons, the other sentences folded, and the sections.
 
     Args:
         title: Title of the page.
         about: Line below the title.
         sentences: Sentences of the verdict.
         sections: Heading of each section, and the pictures, tables and notes in it.
+        compared: Table of the comparisons, if there are any.
     """
     links = "".join(f'<a href="#{_anchor(name)}">{escape(name)}</a>' for name, things in sections if things)
-    verdict = "".join(map(_sentence, sentences))
+    first, *others = sentences
+    told = f'<ul class="verdict">{"".join(map(_sentence, others))}</ul>'
+    rest = _fold(f"The whole verdict in words: {len(others)} more sentence{'s' * (len(others) != 1)}", told)
+    verdict = f'<p class="short"><strong>{escape(first)}</strong></p>'
+    verdict += _table(compared, "scroll lines") if compared is not None else ""
+    verdict += rest if others else ""
     body = "".join(_section(name, things) for name, things in sections if things)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{CSS}</style></head>\n<body>"
         f'<h1>{escape(title)}</h1><p>{escape(about)}</p><nav>{links}</nav>\n<h2 id="verdict">Verdict</h2>'
-        f'<ul class="verdict">{verdict}</ul>\n{body}</body></html>\n'
+        f"{verdict}\n{body}</body></html>\n"
     )
 
 
@@ -90,7 +115,14 @@ def _section(name: str, things: Sequence[object]) -> str:
     notes = "".join(f'<p class="note">{escape(thing)}</p>\n' for thing in things if isinstance(thing, str))
     drawn = "".join(map(_figure, pictures))
     grid = f'<div class="grid">{drawn}</div>' if drawn else ""
-    return f'<h2 id="{_anchor(name)}">{escape(name)}</h2>\n{"".join(map(_table, tables))}{notes}{grid}{rows}\n'
+    content = f"{''.join(map(_table, tables))}{notes}{grid}{rows}"
+    if name in FOLDED:
+        content = _fold("; ".join(f"{thing.title}: {len(thing.rows)} rows" for thing in tables), content)
+    return f'<h2 id="{_anchor(name)}">{escape(name)}</h2>\n{content}\n'
+
+
+def _fold(summary: str, content: str) -> str:
+    return f"<details><summary>{escape(summary)}</summary>{content}</details>\n"
 
 
 def _row(row: Row) -> str:
@@ -106,11 +138,11 @@ def _figure(picture: Picture) -> str:
     return f"<figure><h3>{escape(picture.title)}</h3>{picture.body}{caption}</figure>\n"
 
 
-def _table(table: Table) -> str:
+def _table(table: Table, kind: str = "scroll") -> str:
     head = "".join(f"<th>{_breakable(cell)}</th>" for cell in table.head if cell not in (UNIT, MEANING))
     rows = "".join(_table_row(dict(zip(table.head, row, strict=True))) for row in table.rows)
     return (
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(table.title)}"><table>'
+        f'<div class="{kind}" tabindex="0" role="region" aria-label="{escape(table.title)}"><table>'
         f'<thead><tr>{head}</tr></thead><tbody>\n{rows}</tbody></table></div><p class="note">{escape(table.note)}</p>\n'
     )
 
@@ -125,15 +157,18 @@ def _table_row(cells: dict[str, str]) -> str:
 
 
 def _cell(column: str, text: str) -> str:
-    if column in (OUTCOME, DIRECTORY):
+    if column == FINDING and NOTHING not in text:
+        return f'<td class="long"><strong>{_breakable(text)}</strong></td>'
+    if column in (OUTCOME, DIRECTORY, FINDING):
         return f'<td class="long">{_breakable(text)}</td>'
-    if not re.match(r"[-[]?\d", text):
+    if not re.match(r"[-+[]?\d", text):
         return f"<td>{_breakable(text)}</td>"
     # The estimate comes first; its range and the number of seeds that lack it get lines of their own.
     estimate, *more = text.split("; ")
     split = re.fullmatch(r"(\S+) ([(\[].*)", estimate)
     estimate, *more = [*split.groups(), *more] if split else [estimate, *more]
-    return f'<td class="number">{escape(estimate)}{"".join(f"<small>{escape(line)}</small>" for line in more)}</td>'
+    lines = "".join(f"<small>{escape(line)}</small>" for line in more)
+    return f'<td class="number" data-name="{escape(column)}">{escape(estimate)}{lines}</td>'
 
 
 def _breakable(text: str) -> str:

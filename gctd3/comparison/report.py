@@ -75,7 +75,7 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
     from gctd3.comparison import figures, tables
     from gctd3.comparison.equal_time import time_limit
     from gctd3.comparison.page import page
-    from gctd3.comparison.verdict import unlike_machines, verdict
+    from gctd3.comparison.verdict import comparisons, unlike_machines, verdict
 
     runs = [run for members in groups.values() for run in members]
     config = runs[0].config
@@ -103,7 +103,7 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
                 caption += " Dashed, where the groups are compared at equal wall-clock."
             learning.append(gallery.add(figure, f"curve_{x}", f"Return over {label}", caption))
 
-    compared = [
+    pictures = [
         gallery.add(
             figures.performance(groups),
             "performance_profile",
@@ -114,30 +114,31 @@ def write(groups: Mapping[str, Sequence[Run]], out: Path, lost: Sequence[str] = 
     chances = figures.improvements(groups)
     if chances is not None:
         caption = "With its 95 % interval; at 0.5, dashed, neither is ahead."
-        compared.append(gallery.add(chances, "improvement", "Probability of improvement", caption))
+        pictures.append(gallery.add(chances, "improvement", "Probability of improvement", caption))
 
     if any(typical(with_trace(members)) for members in groups.values()):
         caption = "The typical episode of the run with the group's median return."
-        compared.append(gallery.add(figures.body_height(groups), "body_height", "Body height", caption))
+        pictures.append(gallery.add(figures.body_height(groups), "body_height", "Body height", caption))
 
     table5 = tables.table5(groups, robot, walks and asked.name == "biped")
     sections: list[tuple[str, list[object]]] = [
         ("Learning", [*learning]),
-        ("Table 5", [table5, *compared]),
+        ("Table 5", [table5, *pictures]),
         ("Equal wall-clock", [tables.equal_time(groups, limit), *unlike_machines(groups)] if limit is not None else []),
         ("Gait", [*_gaits(groups), *(_gait_pictures(groups, robot, gallery) if robot is not None else [])]),
         ("Robustness", _robustness(groups, gallery)),
         ("Runs", [tables.runs_table(groups)]),
         ("Settings", [tables.settings_table(groups)] if len(groups) > 1 else []),
     ]
-    for _, things in sections:
-        for thing in things:
-            if isinstance(thing, tables.Table):
-                (out / TABLES).mkdir(parents=True, exist_ok=True)
-                write_text(out / TABLES / f"{thing.name}.csv", thing.csv())
+    compared = comparisons(groups, limit) if len(groups) > 1 else []
+    table = tables.comparisons_table(compared) if compared else None
+    for thing in [table, *(thing for _, things in sections for thing in things)]:
+        if isinstance(thing, tables.Table):
+            (out / TABLES).mkdir(parents=True, exist_ok=True)
+            write_text(out / TABLES / f"{thing.name}.csv", thing.csv())
     sentences = verdict(groups, lost)
     about = f"{len(runs)} runs in {len(groups)} group{'s' * (len(groups) != 1)}, gctd3 {gctd3.__version__}."
-    write_text(out / PAGE, page(f"{subject}: {', '.join(groups)}", about, sentences, sections))
+    write_text(out / PAGE, page(f"{subject}: {', '.join(groups)}", about, sentences, sections, table))
     write_text(out / VERDICT, "\n".join(sentences) + "\n")
 
 

@@ -11,11 +11,25 @@ from typing import Any
 
 import numpy as np
 
+from gctd3.comparison.cells import (
+    ENDS,
+    VALUE,
+    Cell,
+    columns_of_numbers,
+    count,
+    estimate,
+    estimate_numbers,
+    mean,
+    mean_and_range,
+    mean_and_sd,
+    number,
+    spread,
+)
 from gctd3.comparison.equal_time import Limit, reached_by
 from gctd3.comparison.groups import differences
 from gctd3.comparison.runs import Run
 from gctd3.comparison.statistics import interval
-from gctd3.comparison.verdict import scores
+from gctd3.comparison.verdict import Comparison, scores
 from gctd3.evaluation.robustness import DIRECTIONS, weakest
 from gctd3.robots.robot import Robot
 
@@ -27,8 +41,7 @@ PAPER = {
     "gctd3": (380.0, 18.47, -0.0202, 1.414),
 }
 # Columns that a page does not treat as numbers.
-UNIT, MEANING, OUTCOME, DIRECTORY = "unit", "what it is", "outcome", "directory"
-TEXTS = ("", "key", UNIT, MEANING, OUTCOME, DIRECTORY)  # columns without numbers; the first one names the row
+UNIT, MEANING, OUTCOME, DIRECTORY, FINDING = "unit", "what it is", "outcome", "directory", "verdict"
 FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")  # beginnings of what a spreadsheet computes
 
 
@@ -53,26 +66,22 @@ class Table:
     def csv(self) -> str:
         """Return the table as the text of a CSV file, for programs and spreadsheets.
 
-        A number stands without separators of thousands, and a cell without a value is empty. A text that a spreadsheet
-        would compute, since it begins with ``=``, ``+``, ``-``, ``@``, a tab or a line break, has an apostrophe before
-        it, which spreadsheets take for the mark of a text.
+        Every number has a column of its own, without separators of thousands, and a cell without a value is empty. A
+        text that a spreadsheet would compute, since it begins with ``=``, ``+``, ``-``, ``@``, a tab or a line break,
+        has an apostrophe before it, which spreadsheets take for the mark of a text.
         """
         text = io.StringIO()
-        rows = [
-            [_plain(cell, column in TEXTS) for column, cell in zip(self.head, row, strict=True)] for row in self.rows
-        ]
-        csv.writer(text, lineterminator="\n").writerows([[_plain(name, True) for name in self.head], *rows])
+        rows = columns_of_numbers(self.head, self.rows)
+        csv.writer(text, lineterminator="\n").writerows([[_plain(cell) for cell in row] for row in rows])
         return text.getvalue()
 
 
-def _plain(cell: str, is_text: bool) -> str:
+def _plain(cell: str) -> str:
     """Return a cell of a CSV file: a number that programs read, or a text that nothing computes."""
-    if not is_text and cell == "-":
+    if cell == "-":
         return ""
-    number = cell if is_text else cell.replace(",", "")
-    if re.fullmatch(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?", number):
-        return number
-    return f"'{cell}" if cell.startswith(FORMULA) else cell
+    is_number = re.fullmatch(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?", cell) is not None
+    return f"'{cell}" if cell.startswith(FORMULA) and not is_number else str(cell)
 
 
 def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: bool) -> Table:
@@ -91,20 +100,20 @@ def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: b
         rows.append(
             [
                 group,
-                f"{len(means)} of {len(runs)}",
-                _spread(means, 1),
-                interval(means).text(1),
-                _mean(body, 4),
-                _mean([value - drop for value in body if np.isfinite(drop)], 4),
-                interval(speed).text(3),
-                _mean(won, 2),
+                count(len(means), len(runs)),
+                spread(means, 1),
+                estimate(interval(means), 1),
+                mean(body, 4),
+                mean([value - drop for value in body if np.isfinite(drop)], 4),
+                estimate(interval(speed), 3),
+                mean(won, 2),
             ]
         )
         algorithm = runs[0].algorithm
         if is_biped and algorithm in PAPER and not any(row[0] == f"paper, {algorithm.upper()}" for row in rows):
-            mean, deviation, position, velocity = PAPER[algorithm]
-            row = [f"paper, {algorithm.upper()}", "-", f"{mean} ± {deviation}", "-", "-", f"{position:.4f}"]
-            rows.append([*row, f"{velocity:.3f}", "-"])
+            returns, deviation, position, velocity = PAPER[algorithm]
+            row = [f"paper, {algorithm.upper()}", "-", mean_and_sd(f"{returns}", f"{deviation}"), "-", "-"]
+            rows.append([*row, number(position, 4), number(velocity, 3), "-"])
     return Table(
         "table5",
         "The paper's Table 5",
@@ -132,15 +141,44 @@ def _episodes(groups: Mapping[str, Sequence[Run]]) -> str:
     return f"{numbers.pop()} episodes" if len(numbers) == 1 and None not in numbers else "episodes"
 
 
+def comparisons_table(compared: Sequence[Comparison]) -> Table:
+    """Return the table of comparisons: difference, intervals, probability and verdict, a row for each."""
+    rows = []
+    for one in compared:
+        cells: list[str] = ["-", "-", "-"]
+        if one.values and one.chance:
+            first, second = one.values
+            gap = first.value - second.value
+            numbers = [estimate_numbers(end, one.digits) for end in one.values]
+            own = {which: part[VALUE] for which, part in zip(("first", "second"), numbers, strict=True)}
+            ends = {
+                f"{which} {end}": part.get(end, "") for which, part in zip(own, numbers, strict=True) for end in ENDS
+            }
+            text = f"{gap:+.{one.digits}f} ({own['first']} against {own['second']})"
+            known = [f"[{part['low']}, {part['high']}]" if "low" in part else "one seed" for part in numbers]
+            cells = [Cell(text, {VALUE: f"{gap:.{one.digits}f}", **own}), Cell("; ".join(known), ends)]
+            cells.append(estimate(one.chance, 2))
+        rows.append([one.what, one.unit.strip(), *cells, one.finding, f"{one.ours} against {one.theirs}"])
+    return Table(
+        "comparisons",
+        "Comparisons",
+        "Difference of interquartile means over seeds, the first group's minus the second's; their 95 % bootstrap "
+        "intervals, on which the verdict rests; the probability that a run of the first has more than one of the "
+        "second, with its interval: at 0.5 neither is ahead.",
+        ("", UNIT, "difference", "95 % intervals", "probability of more", FINDING, MEANING),
+        rows,
+    )
+
+
 def equal_time(groups: Mapping[str, Sequence[Run]], limit: Limit) -> Table:
     """Return the table of return, success, frames and updates that each group had reached at ``limit``."""
     columns = (("return_mean", 1.0, 1), ("success_rate", 1.0, 2), ("frames", 1e-3, 1), ("updates", 1e-3, 1))
     rows = []
     for group, known in reached_by(groups, limit.seconds).items():
         cells = [interval([scale * getattr(one, key) for one in known]) for key, scale, _ in columns]
-        texts = [cell.text(column[-1]) if known else "-" for cell, column in zip(cells, columns, strict=True)]
-        seeds = f"{len(known)} of {len(groups[group])}"
-        rows.append([group, seeds, *texts, _number(limit.medians[group] / 60.0, 2)])
+        texts = [estimate(cell, column[-1]) if known else "-" for cell, column in zip(cells, columns, strict=True)]
+        seeds = count(len(known), len(groups[group]))
+        rows.append([group, seeds, *texts, number(limit.medians[group] / 60.0, 2)])
     return Table(
         "equal_time",
         "At equal wall-clock",
@@ -200,11 +238,11 @@ def runs_table(groups: Mapping[str, Sequence[Run]]) -> Table:
     rows = []
     for group, runs in groups.items():
         for run in runs:
-            frames = f"{run.rows[-1]['frames']:,.0f}" if run.rows else "-"
+            frames = number(run.rows[-1]["frames"], 0) if run.rows else "-"
             state = "always finishes" if run.value("success_rate") >= 1.0 else "does not always finish"
             state = f"failed: {run.failure}" if run.failure else state
-            cells = [_number(run.minutes, 1), _number(run.minutes_to_finish, 1), frames]
-            cells += [_number(run.value("return_mean"), 1), _number(run.value("success_rate"), 2)]
+            cells = [number(run.minutes, 1), number(run.minutes_to_finish, 1), frames]
+            cells += [number(run.value("return_mean"), 1), number(run.value("success_rate"), 2)]
             rows.append([group, str(run.seed), *cells, f"{run.trouble}; {state}" if run.trouble else state, run.name])
     head = ("", "seed", "minutes", "to finish", "frames", "return", "success", OUTCOME, DIRECTORY)
     note = "Minutes of wall-clock until the last evaluation, and until the first in which every episode finished."
@@ -223,26 +261,3 @@ def spawn_height(robot: Robot) -> float:
     nothing = np.zeros(robot.model.nv)
     spawn, standing = (robot.base.read(q, nothing)["height"][0] for q in (robot.start_qpos, robot.standing_qpos))
     return float(spawn - standing)
-
-
-def _number(value: float, digits: int) -> str:
-    return f"{value:,.{digits}f}" if np.isfinite(value) else "-"
-
-
-def _mean(values: Sequence[float], digits: int) -> str:
-    return f"{np.mean(values):.{digits}f}" if len(values) else "-"
-
-
-def _spread(values: Sequence[float], digits: int) -> str:
-    if not len(values):
-        return "-"
-    mean = f"{np.mean(values):.{digits}f}"
-    return f"{mean} ± {np.std(values, ddof=1):.{digits}f}" if len(values) > 1 else mean
-
-
-def mean_and_range(values: Sequence[float], digits: int) -> str:
-    """Format mean and range as ``0.50 (0.40 to 0.60)``; ``-`` without values."""
-    if not len(values):
-        return "-"
-    mean = f"{np.mean(values):,.{digits}f}"
-    return f"{mean} ({min(values):,.{digits}f} to {max(values):,.{digits}f})" if len(values) > 1 else mean

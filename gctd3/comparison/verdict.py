@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -48,6 +49,10 @@ class Comparison:
         finding: Conclusion from the numbers.
         numbers: The numbers themselves, as text; empty if a group lacks them.
         shown: The difference, if one is shown, as ``gctd3 returns more than td3``.
+        values: Both groups' interquartile means with their intervals; ``None`` if a group lacks numbers.
+        chance: Probability that a run of the one group has more than one of the other.
+        unit: Unit of the number, with a space before it.
+        digits: Decimals of the number.
     """
 
     ours: str
@@ -56,6 +61,10 @@ class Comparison:
     finding: str
     numbers: str = ""
     shown: str | None = None
+    values: tuple[Interval, Interval] | None = None
+    chance: Interval | None = None
+    unit: str = ""
+    digits: int = 1
 
     @property
     def text(self) -> str:
@@ -95,16 +104,18 @@ def compare(
         nobody = " and ".join(group for group, values in (ours, theirs) if not values)
         return Comparison(name, other, what, f"cannot be compared, {nobody} has no number for it")
     first, second = interval(a), interval(b)
+    chance = improvement(a, b)
     numbers = f"{_interval_text(first, unit, digits, len(a))} against {_interval_text(second, unit, digits, len(b))}"
+    found = partial(Comparison, values=(first, second), chance=chance, unit=unit, digits=digits)
     if len(a) < 2 or len(b) < 2:
-        return Comparison(name, other, what, f"{NOTHING}, a single seed cannot show one", numbers)
-    numbers += f"; a run of {name} {more} than one of {other} with probability {improvement(a, b).text(2)}"
+        return found(name, other, what, f"{NOTHING}, a single seed cannot show one", numbers)
+    numbers += f"; a run of {name} {more} than one of {other} with probability {chance.text(2)}"
     if too_few(len(a), len(b)):
-        return Comparison(name, other, what, f"{NOTHING}, so few seeds cannot show one", numbers)
+        return found(name, other, what, f"{NOTHING}, so few seeds cannot show one", numbers)
     if first.overlaps(second):
-        return Comparison(name, other, what, f"{NOTHING}, the intervals overlap", numbers)
+        return found(name, other, what, f"{NOTHING}, the intervals overlap", numbers)
     high, low = (name, other) if first.value > second.value else (other, name)
-    return Comparison(name, other, what, f"{high} {more}", numbers, f"{high} {more} than {low}")
+    return found(name, other, what, f"{high} {more}", numbers, f"{high} {more} than {low}")
 
 
 def comparisons(groups: Mapping[str, Sequence[Run]], limit: Limit | None) -> list[Comparison]:

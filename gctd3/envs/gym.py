@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, get_args
 
 import gymnasium
+import mujoco
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -13,20 +14,19 @@ from gctd3.envs.asked import AnyRobot, ask_simulated
 from gctd3.envs.simulation import Simulation
 from gctd3.errors import ConfigError, suggest
 from gctd3.tasks.reward import Reward
-from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.tasks.task import TaskSettings
 from gctd3.tasks.terminations import TimeLimit
 
 OPTIONS = ("control_dt", "feet", "forward", "terminations", "overrides")  # besides an environment's own arguments
 
+Shape = Literal["flat", "nodes"]
+# The largest position and velocity that MuJoCo simulates: beyond it, it resets the robot, which ends the episode.
+LARGEST = mujoco.mjMAXVAL
 
-def _spaces(task: SimulatedTask, history: int) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
-    shape = (task.graph.num_nodes, task.features * history)
-    actions = task.facts.actions
-    return (
-        gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32),
-        gymnasium.spaces.Box(-1.0, 1.0, (actions,), np.float32),
-    )
+
+def node_box(*shape: int) -> gymnasium.spaces.Box:
+    """Return the space of features of nodes, ``float32`` of this shape."""
+    return gymnasium.spaces.Box(-LARGEST, LARGEST, shape, np.float32)
 
 
 def _limit(steps: int) -> TimeLimit:
@@ -39,7 +39,8 @@ def _limit(steps: int) -> TimeLimit:
 class BipedVectorEnv(VectorEnv):
     """Step N robots at once, as a Gymnasium vector environment.
 
-    A robot whose episode ended is reset by the next step, whose action it ignores (Gymnasium's ``NEXT_STEP``).
+    A robot whose episode ended is reset by the next step, whose action it ignores (Gymnasium's ``NEXT_STEP``), or with
+    ``autoreset_mode=DISABLED`` by ``reset(options={"reset_mask": mask})`` for a mask ``[num_envs]`` of robots.
 
     Args:
         num_envs: Number of robots simulated side by side.
@@ -49,10 +50,19 @@ class BipedVectorEnv(VectorEnv):
         threads: Threads of the simulation; all cores if ``None``.
         task: The settings of the task; the robot's own by default.
         max_episode_steps: Control steps after which an episode is truncated, besides the task's own time limit.
+        observation: ``flat`` for the nodes' features side by side, ``nodes`` for a row for each node.
+        autoreset_mode: ``NEXT_STEP`` or ``DISABLED``, of Gymnasium's :class:`~gymnasium.vector.AutoresetMode`.
         asked: Other arguments of :func:`.ask`: ``control_dt``, ``feet``, ``forward``, ``terminations``, ``overrides``.
 
-    Observation: ``float32 [num_envs, N, F * history]``, oldest frame first. Action: ``[num_envs, A]`` in [-1, 1].
-    Info: ``success``, ``position`` (m) and the reward's terms, each ``[num_envs]``.
+    Attributes:
+        graph: The robot's graph, with a node for each row of ``nodes``.
+
+    Observation: ``float32 [num_envs, N * F * history]``, or ``[num_envs, N, F * history]``; of every node the oldest
+    frame first. Action: ``[num_envs, A]`` in [-1, 1]. Info: ``success``, ``position`` (m) and the reward's terms, each
+    ``[num_envs]``.
+
+    Raises:
+        ConfigError: If an argument has another value than these.
     """
 
     def __init__(
@@ -64,8 +74,14 @@ class BipedVectorEnv(VectorEnv):
         threads: int | None = None,
         task: TaskSettings | None = None,
         max_episode_steps: int | None = None,
+        observation: Shape = "flat",
+        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
         **asked: Any,  # noqa: ANN401 - of `ask`
     ) -> None:
+        if observation not in get_args(Shape):
+            raise ConfigError(f"observation must be one of {', '.join(get_args(Shape))}, got {observation!r}.")
+        if autoreset_mode not in (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED):
+            raise ConfigError(f"autoreset_mode must be NEXT_STEP or DISABLED, got {autoreset_mode}.")
         if max_episode_steps is not None:
             limit = {"max_episode_steps": _limit(max_episode_steps)}
             asked["terminations"] = {**(asked.get("terminations") or {}), **limit}
@@ -74,31 +90,49 @@ class BipedVectorEnv(VectorEnv):
         one = ask_simulated(robot, task=task, reward=reward, history=history, **asked)
         history = one.history
         self.simulation = Simulation(one, num_envs, threads=threads)
-        self.num_envs = num_envs
-        self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}
-        self.single_observation_space, self.single_action_space = _spaces(one, history)
+        self.num_envs, self.graph = num_envs, one.graph
+        self.metadata = {"autoreset_mode": autoreset_mode, "render_modes": []}
+        nodes = (one.graph.num_nodes, one.features * history)
+        self.single_observation_space = node_box(*nodes) if observation == "nodes" else node_box(nodes[0] * nodes[1])
+        self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (one.facts.actions,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        nodes = (one.graph.num_nodes, one.features * history)
         self._stack: np.ndarray = np.zeros((num_envs, *nodes), dtype=np.float32)
         self._ended = np.zeros(num_envs, dtype=bool)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode on every robot."""
+        """Start an episode on every robot, or on those of ``options["reset_mask"]``, a mask ``[num_envs]``.
+
+        Raises:
+            ConfigError: If the mask is not one.
+        """
         if isinstance(seed, (list, tuple)):
             seed = seed[0]
-        if seed is not None:
-            self.simulation.rng = np.random.default_rng(seed)
-        everyone = np.ones(self.num_envs, dtype=bool)
-        self._begin(everyone)
-        self._ended = ~everyone
-        return self._stack.copy(), {}
+        super().reset(seed=seed)
+        self.simulation.rng = self.np_random
+        begins = np.ones(self.num_envs, dtype=bool)
+        if options is not None and "reset_mask" in options:
+            begins = np.asarray(options["reset_mask"])
+            if begins.shape != (self.num_envs,) or begins.dtype != bool:
+                raise ConfigError(
+                    f"reset_mask must be a mask of {self.num_envs} robots, got {begins.dtype} {list(begins.shape)}."
+                )
+        self._begin(begins)
+        self._ended = self._ended & ~begins
+        return self._observation(), {}
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Take one control step of every robot, or start a new episode where the last one ended."""
+        """Take one control step of every robot, or start a new episode where the last one ended.
+
+        Raises:
+            ConfigError: If a robot's episode has ended and ``autoreset_mode`` is ``DISABLED``.
+        """
         begins = self._ended
+        if begins.any() and self.metadata["autoreset_mode"] is AutoresetMode.DISABLED:
+            ended = ", ".join(map(str, np.flatnonzero(begins)))
+            raise ConfigError(f"The episode of robot {ended} has ended: reset(options={{'reset_mask': mask}}) first.")
         outcome = self.simulation.step(np.asarray(actions, dtype=np.float64))
         frame = self._frame()
         self._stack = np.concatenate([self._stack[..., frame.shape[-1] :], frame], axis=-1)
@@ -112,7 +146,10 @@ class BipedVectorEnv(VectorEnv):
             "position": self.simulation.now.position.copy(),
             **{f"reward_{name}": np.where(begins, 0.0, value) for name, value in outcome.terms.items()},
         }
-        return self._stack.copy(), reward, terminated, truncated, info
+        return self._observation(), reward, terminated, truncated, info
+
+    def _observation(self) -> np.ndarray:
+        return self._stack.reshape(self.observation_space.shape).copy()
 
     def _frame(self) -> np.ndarray:
         return self.simulation.task.node_features(self.simulation.now, self.simulation.memory)
@@ -132,7 +169,11 @@ class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         history: Number of frames stacked into an observation; the task's by default.
         reward: The reward, or the name of an option of ``reward=``; the paper's by default.
         task: The settings of the task; the robot's own by default.
+        observation: ``flat`` for the nodes' features side by side, ``nodes`` for a row for each node.
         asked: Other arguments of :func:`.ask`: ``control_dt``, ``feet``, ``forward``, ``terminations``, ``overrides``.
+
+    Attributes:
+        graph: The robot's graph, with a node for each row of ``nodes``.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - Gymnasium's name and type
@@ -143,9 +184,11 @@ class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         history: int | None = None,
         reward: Reward | str | None = None,
         task: TaskSettings | None = None,
+        observation: Shape = "flat",
         **asked: Any,  # noqa: ANN401 - of `ask`
     ) -> None:
-        self._one = BipedVectorEnv(1, robot, history, reward, 1, task, **asked)
+        self._one = BipedVectorEnv(1, robot, history, reward, 1, task, observation=observation, **asked)
+        self.graph = self._one.graph
         self.observation_space = self._one.single_observation_space
         self.action_space = self._one.single_action_space
 

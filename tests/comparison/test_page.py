@@ -1,6 +1,7 @@
 """The report's page in a browser, if one is installed: complete, offline, narrow and wide, light and dark."""
 
 import json
+import re
 import shutil
 from functools import partial
 from itertools import product
@@ -22,6 +23,8 @@ from gctd3.comparison.gaits import GAIT
 # As many groups as the page has room for at 1280 pixels.
 TAUS = (0.001, 0.002, 0.003, 0.004, 0.005, 0.006)
 GROUPS = [f"gctd3 tau={tau}" for tau in TAUS]
+# A run's name is data: this one asks for a file and writes to the console, if a page takes it for HTML.
+NAME = "<img src=x onerror=console.log(1)>\"'&lt;"
 DT = 0.02
 # The titles of all pictures of a group with a trace and a policy.
 OF_A_GROUP = {"joints, right against left", "phase portraits", "feet on the ground"}
@@ -75,6 +78,7 @@ def runs(tmp_path_factory, robot):
     # The last run was stopped, which makes its outcome a long text.
     progress = run / "progress.csv"
     progress.write_text("".join(progress.read_text().splitlines(keepends=True)[:2]))
+    run.rename(root / NAME)
     return root
 
 
@@ -100,7 +104,7 @@ def opened(browser, page_file):
     """Return a function that opens the page; the console must stay empty, and nothing else be requested."""
     contexts, said, asked = [], [], []
 
-    def look(width, scheme="light"):
+    def look(width, scheme="light", unfolded=True):
         contexts.append(
             browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme, offline=True)
         )
@@ -109,6 +113,8 @@ def opened(browser, page_file):
         page.on("pageerror", lambda error: said.append(str(error)))
         page.on("request", lambda request: asked.append(request.url))
         page.goto(page_file.resolve().as_uri())
+        if unfolded:
+            page.evaluate("document.querySelectorAll('details').forEach(e => { e.open = true })")
         return page
 
     yield look
@@ -172,8 +178,34 @@ def test_all_of_it_can_be_read(opened, scheme, width):
 def test_no_table_is_cut(opened, width):
     page = opened(width)
     tables = every(page, ".scroll", "[e.ariaLabel, e.scrollWidth - e.clientWidth]")
-    assert len(tables) == 6 and [label for label, hidden in tables if hidden > 0] == []
+    assert len(tables) == 7 and [label for label, hidden in tables if hidden > 0] == []
     assert every(page, "[aria-label=Gaits] th", "e.textContent") == ["", *GROUPS]
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_a_sentence_stands_above_the_comparisons_and_the_rest_is_folded(opened, width):
+    page = opened(width, unfolded=False)
+    after = every(page, "#verdict ~ *", "e.className || e.tagName")[:4]
+    assert after == ["short", "scroll lines", "note", "DETAILS"]
+    said = page.locator(".short").inner_text()
+    assert said == "In short: no difference shown in 20 comparisons."
+    # Five groups against the first, by return, velocity, and at equal wall-clock by return and success.
+    rows = every(page, ".lines tbody tr", "[...e.cells].map(cell => cell.innerText.split('\\n'))")
+    assert len(rows) == 20 and {row[-1][0] for row in rows} == {"no difference shown, so few seeds cannot show one"}
+    assert rows[0][0] == ["return", f"{GROUPS[0]} against {GROUPS[1]}"]
+    assert rows[0][1][-2:] == ["+0.0", "(500.5 against 500.5)"] and "[500.0, 501.0]" in rows[0][2]
+    assert page.locator(".lines").evaluate("e => e.scrollWidth - e.clientWidth") == 0
+    sentence = page.get_by_text("seeds reach the finish in every episode").first
+    assert not sentence.is_visible() and not page.locator("[aria-label=Runs]").is_visible()
+    page.get_by_text(re.compile("^The whole verdict in words: ")).click()
+    assert sentence.is_visible()
+    page.get_by_text(re.compile("^Runs: 12 rows")).click()
+    assert page.locator("[aria-label=Runs]").is_visible()
+
+
+def test_a_runs_name_is_text(opened):
+    page = opened(1280)
+    assert NAME in every(page, "[aria-label=Runs] tr:last-child td:last-child", "e.textContent")
 
 
 def test_a_metric_stands_with_its_unit_and_meaning(opened):

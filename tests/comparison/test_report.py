@@ -1,6 +1,8 @@
 """The report: on hand-made runs with known answers, and from tiny trainings to the page."""
 
 import csv
+import io
+import json
 import re
 import xml.etree.ElementTree as ElementTree
 from itertools import combinations
@@ -13,13 +15,14 @@ from gctd3.errors import RunError
 
 pytest.importorskip("matplotlib")
 from gctd3.comparison.comparability import check_together
+from gctd3.comparison.equal_time import time_limit
 from gctd3.comparison.figures import inline
 from gctd3.comparison.groups import differences, groups_of
 from gctd3.comparison.report import report
 from gctd3.comparison.runs import find_runs
 from gctd3.comparison.settings import ReportSettings
-from gctd3.comparison.tables import robustness_table, runs_table, spawn_height, table5
-from gctd3.comparison.verdict import compare, too_few, verdict
+from gctd3.comparison.tables import comparisons_table, robustness_table, runs_table, spawn_height, table5
+from gctd3.comparison.verdict import compare, comparisons, too_few, verdict
 
 # Words.
 
@@ -167,6 +170,33 @@ def test_the_verdict_of_made_up_runs(pair):
     said = "\n".join(said)
     assert "gctd3 and td3, return: gctd3 returns more: 502.0" in said and "fewer than" not in said
     assert "gctd3 and td3, velocity: no difference shown, the intervals overlap" in said
+
+
+def test_the_table_of_made_up_comparisons(pair):
+    """Three seeds each: 500, 501, 502 against 400, 401, 402; with so few the interquartile mean is the mean."""
+    groups = groups_of(find_runs(pair))
+    table = comparisons_table(comparisons(groups, time_limit(groups)))
+    # Return, velocity, time to the finish; return and success at equal wall-clock.
+    assert len(table.rows) == 5
+    row = dict(zip(table.head, table.rows[0], strict=True))
+    assert row[""] == "return" and row["what it is"] == "gctd3 against td3"
+    assert row["difference"] == "+100.0 (501.0 against 401.0)"
+    assert row["95 % intervals"] == "[500.0, 502.0]; [400.0, 402.0]"
+    assert row["probability of more"] == "1.00 [1.00, 1.00]"
+    assert row["verdict"] == "no difference shown, so few seeds cannot show one"
+    written = next(csv.DictReader(io.StringIO(table.csv())))
+    numbers = {"difference": 100.0, "difference, first": 501.0, "difference, second": 401.0}
+    numbers |= {"95 % intervals, first low": 500.0, "95 % intervals, second high": 402.0, "probability of more": 1.0}
+    assert {name: float(written[name]) for name in numbers} == numbers
+
+
+def test_what_cannot_be_compared_has_a_row_too(pair):
+    for seed in range(3):
+        file = pair / f"b{seed}" / "evaluation.json"
+        file.write_text(json.dumps({**json.loads(file.read_text()), "velocity_mean": None}))
+    groups = groups_of(find_runs(pair))
+    rows = {row[0]: row for row in comparisons_table(comparisons(groups, None)).rows}
+    assert rows["velocity"][1:6] == ["", "-", "-", "-", "cannot be compared, td3 has no number for it"]
 
 
 def test_times_of_seeds_that_never_finished_are_not_compared(pair):

@@ -1,10 +1,10 @@
-"""The Gymnasium environments pass Gymnasium's checker and agree with the TorchRL environment."""
+"""The Gymnasium environments agree with the TorchRL environment; ``test_checkers.py`` checks their form."""
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
-from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
 
 import gctd3
 from gctd3.errors import ConfigError, RobotError
@@ -12,15 +12,10 @@ from gctd3.errors import ConfigError, RobotError
 BIPED = "gctd3/Biped-v0"
 
 
-@pytest.mark.filterwarnings("ignore:.*Box observation space m.* value is.*infinity:UserWarning")
-def test_gymnasium_checker():
-    check_env(gymnasium.make(BIPED).unwrapped)
-
-
 def test_vector_env_equals_torchrl_env():
     """Equal starts and actions give equal stacks, rewards and endings until the first robot is reset."""
     robots = 5
-    vector = gymnasium.make_vec(BIPED, num_envs=robots)
+    vector = gymnasium.make_vec(BIPED, num_envs=robots, observation="nodes")
     reference = gctd3.make_env("biped", num_envs=robots, seed=3)
     observation, _ = vector.reset(seed=3)
     state = reference.reset()
@@ -82,10 +77,36 @@ def test_bad_arguments():
         gymnasium.make(BIPED, history=0)
     with pytest.raises(RobotError, match="No robot 'nobody'"):
         gymnasium.make(BIPED, robot="nobody")
+    with pytest.raises(ConfigError, match="observation must be one of flat, nodes, got 'dict'"):
+        gymnasium.make(BIPED, observation="dict")
+    with pytest.raises(ConfigError, match="autoreset_mode must be NEXT_STEP or DISABLED, got "):
+        gymnasium.make_vec(BIPED, num_envs=2, autoreset_mode=AutoresetMode.SAME_STEP)
+    with pytest.raises(ConfigError, match=r"reset_mask must be a mask of 2 robots, got int64 \[2\]"):
+        gymnasium.make_vec(BIPED, num_envs=2).reset(options={"reset_mask": np.array([0, 1])})
 
 
-@pytest.mark.filterwarnings("ignore:.*unconventional shape:UserWarning")
-def test_stable_baselines3_checker():
-    from stable_baselines3.common.env_checker import check_env as check
+def test_flat_observation_is_the_rows_of_nodes_side_by_side():
+    rows, flat = (gymnasium.make_vec(BIPED, num_envs=3, observation=shape) for shape in ("nodes", "flat"))
+    assert rows.graph.num_nodes == 8 and rows.single_observation_space.shape == (8, 10)
+    assert flat.single_observation_space.shape == (80,)
+    for env in (rows, flat):
+        env.reset(seed=2)
+    action = np.linspace(-1, 1, 18, dtype=np.float32).reshape(3, 6)
+    np.testing.assert_array_equal(rows.step(action)[0].reshape(3, 80), flat.step(action)[0])
 
-    check(gymnasium.make(BIPED).unwrapped)
+
+def test_without_autoreset_only_masked_robots_start_anew():
+    env = gymnasium.make_vec(BIPED, num_envs=3, observation="nodes", autoreset_mode=AutoresetMode.DISABLED)
+    env.reset(seed=0)
+    rng, ended = np.random.default_rng(0), np.zeros(3, dtype=bool)
+    while not ended.any():
+        action = rng.uniform(-1, 1, (3, 6))
+        before, _, terminated, truncated, _ = env.step(action)
+        ended = terminated | truncated
+    with pytest.raises(ConfigError, match=f"The episode of robot {ended.argmax()}.* has ended"):
+        env.step(action)
+    after, _ = env.reset(options={"reset_mask": ended})
+    np.testing.assert_array_equal(after[~ended], before[~ended])
+    frames = after.reshape(3, 8, 5, 2)[ended]
+    assert (frames == frames[:, :, :1]).all() and not np.array_equal(after[ended], before[ended])
+    env.step(action)

@@ -57,7 +57,9 @@ def test_what_is_asked_is_sensed_and_its_clock_shown(mine):
 def test_batched_and_gymnasium_agree(mine):
     env = env_of(mine, seed=SEED, num_envs=ROBOTS)
     check_env_specs(env_of(mine, seed=SEED, num_envs=ROBOTS))
-    vector = gymnasium.make_vec("gctd3/Biped-v0", num_envs=ROBOTS, reward=REWARD, task=walk(**MINE))
+    vector = gymnasium.make_vec(
+        "gctd3/Biped-v0", num_envs=ROBOTS, observation="nodes", reward=REWARD, task=walk(**MINE)
+    )
     state, (observation, _) = env.reset(), vector.reset(seed=SEED)
     assert observation.shape == (ROBOTS, 8, 3 * 5)
     np.testing.assert_array_equal(observation, state["nodes"].numpy())
@@ -181,8 +183,8 @@ def test_the_history_of_a_task_is_its_own_unless_asked_for():
     task = gctd3.WalkSettings(history=2)
     assert gctd3.make_env("biped", num_envs=2, task=task).reset()["nodes"].shape == (2, 8, 4)
     assert gctd3.make_env("biped", num_envs=2, task=task, history=3).reset()["nodes"].shape == (2, 8, 6)
-    assert BipedEnv(task=task).reset()[0].shape == (8, 4)
-    assert BipedEnv().reset()[0].shape == (8, 10)
+    assert BipedEnv(task=task, observation="nodes").reset()[0].shape == (8, 4)
+    assert BipedEnv(observation="nodes").reset()[0].shape == (8, 10)
 
 
 def test_names_of_terms_are_text():

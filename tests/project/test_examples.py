@@ -21,8 +21,8 @@ def _examples(monkeypatch):
     monkeypatch.syspath_prepend(str(EXAMPLES))
 
 
-def test_there_are_four():
-    assert NAMES == ["ppo_walker", "sac_gymnasium", "transfer", "tune"]
+def test_there_are_five():
+    assert NAMES == ["ppo_walker", "sac_gymnasium", "sb3_gymnasium", "transfer", "tune"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -30,13 +30,20 @@ def test_is_short_and_imports_graphs_nodes_and_networks_only(name):
     text = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8")
     assert text.count("\n") < 120
     imported = [node.module for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)]
-    assert {module for module in imported if module.startswith("gctd3")} <= {"gctd3", "gctd3.nn", "gctd3.envs.nodes"}
+    assert {module for module in imported if module.startswith("gctd3")} <= {
+        "gctd3",
+        "gctd3.nn",
+        "gctd3.envs.nodes",
+        "gctd3.sb3",
+    }
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_help(name, capsys):
     if name == "tune":
         pytest.importorskip("optuna", minversion="4")
+    if name == "sb3_gymnasium":
+        pytest.importorskip("stable_baselines3")
     module = importlib.import_module(name)
     with pytest.raises(SystemExit) as end:
         module.main(["--help"])
@@ -70,6 +77,18 @@ def test_sac():
     few = ["--frames", "200", "--warmup", "100", "--batch", "16"]
     returns = importlib.import_module("sac_gymnasium").main(["--env", "Walker2d-v5", *few])
     assert returns and all(map(math.isfinite, returns))
+
+
+@pytest.mark.parametrize(
+    "algo", [pytest.param("td3", marks=pytest.mark.nightly), pytest.param("sac", marks=pytest.mark.nightly), "ppo"]
+)
+def test_stable_baselines3(algo, tmp_path, capsys):
+    baselines = pytest.importorskip("stable_baselines3")
+    few = ["--algo", algo, "--env", "Hopper-v5", "--frames", "110", "--save", str(tmp_path / "model")]
+    assert math.isfinite(importlib.import_module("sb3_gymnasium").main(few))
+    assert "Hopper-v5" in capsys.readouterr().out
+    saved = getattr(baselines, algo.upper()).load(tmp_path / "model", device="cpu")
+    assert saved.num_timesteps >= 110 and type(saved.policy).__name__.startswith(("MultiInput", "TD3", "SAC"))
 
 
 @pytest.mark.nightly

@@ -26,6 +26,7 @@ ROOMS = (
     "nn",
     "objectives",
     "algorithms",
+    "sb3",
     "setup",
     "data",
     "evaluation",

@@ -76,7 +76,9 @@ def test_it_stays_up_where_it_stands(tmp_path):
         assert abs(simulation.now.height[0]) < 0.01 and not outcome.terminated[0]
     assert simulation.now.feet_down.all()
     # Through Gymnasium: the root's first feature is its height from standing.
-    assert BipedVectorEnv(2, str(path), history=1, threads=1).reset(seed=0)[0][:, 0, 0] == pytest.approx(0.0, abs=1e-6)
+    assert BipedVectorEnv(2, str(path), history=1, threads=1, observation="nodes").reset(seed=0)[0][
+        :, 0, 0
+    ] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_small_drop_is_left_as_it_is(tmp_path):
@@ -97,7 +99,7 @@ def test_it_starts_in_the_named_pose(tmp_path, name, text, base):
     np.testing.assert_array_equal(robot.standing_qpos, pose)
     for start in starts(robot):
         np.testing.assert_array_equal(start, pose)
-    frame = BipedVectorEnv(1, str(path), history=1, threads=1).reset(seed=0)[0][0]
+    frame = BipedVectorEnv(1, str(path), history=1, threads=1, observation="nodes").reset(seed=0)[0][0]
     assert frame[0, 0] == pytest.approx(0.0, abs=1e-6)
     np.testing.assert_allclose(np.abs(frame[[-3, -2], 0]), 0.6, atol=0.05)  # the joints, off by noise
     asked = Simulation(walking(robot), 1, threads=1).desired(resting_action(robot).numpy()[None].astype(float))
