@@ -27,10 +27,12 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sphinx = False
 html_theme_options = {"top_of_page_buttons": []}
-pygments_style, pygments_dark_style = "sphinx", "monokai"
+# Blocks without a language are command lines.
+highlight_language = "bash"
+pygments_style, pygments_dark_style = "friendly", "monokai"
 copybutton_exclude = ".linenos, .gp, .go"
 
-myst_enable_extensions = ["dollarmath", "deflist", "attrs_block", "colon_fence"]
+myst_enable_extensions = ["deflist", "attrs_block", "colon_fence"]
 myst_heading_anchors = 3
 # Constants have comments instead of docstrings, and so no pages.
 suppress_warnings = ["autoapi.python_import_resolution"]

@@ -28,15 +28,15 @@ ROOT = Path(__file__).parents[2]
 PAGES = {
     page.name: page.read_text(encoding="utf-8") for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 }
-BLOCKS = [block for text in PAGES.values() for block in re.findall(r"^```(\w*)\n(.*?)^```", text, flags=re.M | re.S)]
+# A directive's language stands in braces.
+FENCED = re.compile(r"^```([^\n`]*)\n(.*?)^```", re.M | re.S)
+BLOCKS = [block for text in PAGES.values() for block in FENCED.findall(text)]
 SHELL = "".join(text for language, text in BLOCKS if not language)
 EXTRAS = re.findall(r"^(\w+) = \[", (ROOT / "pyproject.toml").read_text(encoding="utf-8"), flags=re.M)
 PARTS = sorted({part.strip() for line in SHELL.splitlines() for part in line.split("&&")})
 
 
-PYTHON = [
-    (page, text) for page in PAGES for text in re.findall(r"^```python\n(.*?)^```", PAGES[page], flags=re.M | re.S)
-]
+PYTHON = [(page, text) for page in PAGES for language, text in FENCED.findall(PAGES[page]) if language == "python"]
 RUNS = "# runs\n"
 
 

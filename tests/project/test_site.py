@@ -6,8 +6,6 @@ import importlib.util
 import json
 import re
 import shlex
-import subprocess
-import sys
 import urllib.parse
 from pathlib import Path
 
@@ -20,7 +18,7 @@ from gctd3.config.help import COMMANDS, root_of
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
-FENCED = re.compile(r"^```.*?^```", re.M | re.S)
+FENCED = re.compile(r"^```([^\n`]*)\n(.*?)^```", re.M | re.S)
 
 
 def text_of(page):
@@ -92,7 +90,7 @@ def shown():
     found = {}
     for page in PAGES:
         text = text_of(page)
-        blocks = "".join(re.findall(r"^```\n(.*?)^```", text, flags=re.M | re.S))
+        blocks = "".join(inside for language, inside in FENCED.findall(text) if not language)
         lines = [part.strip() for line in blocks.splitlines() for part in line.split("&&")]
         lines += re.findall(r"`((?:python -m gctd3\.|gctd3-)[a-z][^`\n]*)`", FENCED.sub("", text))
         for line in lines:
@@ -110,7 +108,7 @@ OTHER_MODULES = {"gctd3.config.reference"}
 @pytest.fixture
 def hydras(tmp_path):
     """Make the folder of a YAML of one's own that a page shows."""
-    (mine,) = re.findall(r"^```yaml\n(.*?)^```", text_of(DOCS / "your-robot.md"), flags=re.M | re.S)
+    (mine,) = (inside for language, inside in FENCED.findall(text_of(DOCS / "your-robot.md")) if language == "yaml")
     (tmp_path / "robots/robot").mkdir(parents=True)
     (tmp_path / "robots/robot/mine.yaml").write_text(mine)
     return tmp_path
@@ -174,17 +172,6 @@ class Names(html.parser.HTMLParser):
         given = dict(attrs)
         self.links += [given[key] for key in ("href", "src") if given.get(key)]
         self.anchors |= {given[key] for key in ("id", "name") if given.get(key)}
-
-
-@pytest.fixture(scope="session")
-def site(tmp_path_factory):
-    if importlib.util.find_spec("sphinx") is None or importlib.util.find_spec("autoapi") is None:
-        pytest.skip("no Sphinx: pip install 'gctd3[docs]'")
-    out = tmp_path_factory.mktemp("site")
-    call = [sys.executable, "-W", "ignore", "-m", "sphinx", "-q", "-W", "--keep-going", str(DOCS), str(out)]
-    built = subprocess.run(call, capture_output=True, text=True)
-    assert built.returncode == 0 and not built.stderr, built.stderr
-    return out
 
 
 @pytest.mark.nightly
