@@ -150,10 +150,17 @@ def place(tmp_path_factory):
 
 
 def test_every_line_is_accounted_for():
-    known = [rf"python -m gctd3\.({'|'.join(COMMANDS)})( .+)?", r"python -m gctd3", r"python benchmarks/\w+\.py .+"]
-    known += [rf"pip install 'gctd3\[({'|'.join(EXTRAS)})\]'"]
-    strange = [part for part in PARTS if part not in INSTALL and not any(re.fullmatch(k, part) for k in known)]
-    assert not strange and len(PARTS) >= 15
+    known = [
+        rf"python -m gctd3\.({'|'.join(COMMANDS)})( .+)?",
+        r"python -m gctd3",
+        r"python (benchmarks|examples)/\w+\.py .+",
+    ]
+    known += [rf"pip install ([\"'])gctd3\[({'|'.join(EXTRAS)})\]\1", r"(uv )?pip (un)?install (?!.*gctd3\[).+"]
+    # Other programs' lines, and what is printed, are not ours to run.
+    ours = [part for part in PARTS if re.match(r"(python|pip|uv|pytest|gctd3)\b", part)]
+    strange = [part for part in ours if part not in INSTALL and not any(re.fullmatch(k, part) for k in known)]
+    assert not strange and len(ours) >= 30
+    assert {part for part in PARTS if part.startswith("pip install -e")} <= INSTALL
     assert {parsed(line)[0] for line in quick()} <= {*QUICK} and len(quick()) >= 3 and OTHERS
     written = (ROOT / ".ci/run").read_text(encoding="utf-8")
     assert 'pip install -q -e ".[test]"' in written and "\npytest\n" in written
