@@ -87,3 +87,11 @@ def exported(shared_folder):
         assert command("export", f"out={folder / 'policy.onnx'}", "episodes=2", "threads=1") == 0
 
     return once(shared_folder / "exported", export) / "policy.onnx"
+
+
+@pytest.fixture(scope="session")
+def site(shared_folder):
+    """Return the folder of the documentation site, built without a warning."""
+    from built_site import built_site
+
+    return built_site(shared_folder / "site")

@@ -1,5 +1,7 @@
 """Run an exported policy on a robot: named sensor readings in, desired joint angles out.
 
+The loop on a robot::
+
     policy = gctd3.deploy.Policy("policy.onnx")
     while True:
         readings, time = read_sensors()

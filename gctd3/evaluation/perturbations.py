@@ -16,7 +16,7 @@ from gctd3.robots.mjcf import bodies_below
 from gctd3.robots.robot import Robot
 from gctd3.tasks.simulated_task import SimulatedTask
 
-Policy = Callable[[TensorDictBase], TensorDictBase]
+PolicyFunction = Callable[[TensorDictBase], TensorDictBase]
 
 
 def altered(robot: Robot, mass: float = 1.0, friction: float = 1.0) -> Robot:
@@ -73,7 +73,7 @@ class Delayed:
         rest: Action for the start pose, see :func:`resting_action`.
     """
 
-    def __init__(self, policy: Policy, steps: int, rest: torch.Tensor) -> None:
+    def __init__(self, policy: PolicyFunction, steps: int, rest: torch.Tensor) -> None:
         self.policy, self.steps, self.rest = policy, steps, rest
         self._waiting: list[torch.Tensor] = []
 
@@ -96,7 +96,7 @@ class Noisy:
         seed: Seed of the noise.
     """
 
-    def __init__(self, policy: Policy, deviation: torch.Tensor, seed: int) -> None:
+    def __init__(self, policy: PolicyFunction, deviation: torch.Tensor, seed: int) -> None:
         self.policy, self.deviation = policy, deviation
         self._generator = torch.Generator().manual_seed(seed)
         self._noise: torch.Tensor | None = None
@@ -147,7 +147,7 @@ class Pushed:
 
     def __init__(
         self,
-        policy: Policy,
+        policy: PolicyFunction,
         simulation: Simulation,
         impulses: Sequence[float] | np.ndarray,
         waits: Sequence[int] | np.ndarray,

@@ -12,7 +12,15 @@ import numpy as np
 from gctd3.envs.factory import build_env
 from gctd3.envs.settings import EnvSettings
 from gctd3.evaluation.gait_metrics import SHORTEST_SWING
-from gctd3.evaluation.perturbations import Delayed, Noisy, Policy, Pushed, altered, resting_action, sensor_deviation
+from gctd3.evaluation.perturbations import (
+    Delayed,
+    Noisy,
+    PolicyFunction,
+    Pushed,
+    altered,
+    resting_action,
+    sensor_deviation,
+)
 from gctd3.evaluation.recorder import total_mass
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.settings import Perturbations
@@ -35,7 +43,7 @@ class Examination:
         perturbations: Settings of the perturbations.
     """
 
-    policy: Policy
+    policy: PolicyFunction
     task: SimulatedTask
     env: EnvSettings
     seed: int
@@ -60,10 +68,10 @@ class Examination:
             "pushes": None if stride_time is None else self.pushes(stride_time),
         }
 
-    def _conditions(self) -> dict[str, tuple[Policy, SimulatedTask]]:
+    def _conditions(self) -> dict[str, tuple[PolicyFunction, SimulatedTask]]:
         p, task, robot = self.perturbations, self.task, self.task.robot
         noise = sensor_deviation(task, p.angle_noise, p.velocity_noise, p.height_noise, p.speed_noise)
-        conditions: dict[str, tuple[Policy, SimulatedTask]] = {AS_TRAINED: (self.policy, task)}
+        conditions: dict[str, tuple[PolicyFunction, SimulatedTask]] = {AS_TRAINED: (self.policy, task)}
         for factor in p.masses:
             conditions[f"mass {_percent(factor)}"] = self.policy, task.on(altered(robot, mass=factor))
         for factor in p.frictions:
@@ -74,7 +82,7 @@ class Examination:
         conditions["sensor noise"] = Noisy(self.policy, noise, self.seed), task
         return conditions
 
-    def _summary(self, policy: Policy, task: SimulatedTask) -> dict[str, float | int]:
+    def _summary(self, policy: PolicyFunction, task: SimulatedTask) -> dict[str, float | int]:
         return evaluate(policy, build_env(task, self.env, self.seed), task, self.seed).summary()
 
     def pushes(self, stride_time: float) -> dict[str, Any]:

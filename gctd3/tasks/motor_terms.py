@@ -21,7 +21,7 @@ LAST_ACTION = Remembered("last_action", ("actions",), 0.0, _action)
 
 @dataclass(frozen=True)
 class ActionRate(RewardTerm):
-    """Penalise changes of the action from one control step to the next: ``weight * mean((a_t - a_(t-1))^2)``."""
+    """Penalise changes of the action from one control step to the next."""
 
     weight: float = -0.1
 
@@ -30,14 +30,14 @@ class ActionRate(RewardTerm):
         return (LAST_ACTION,)
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the mean squared change, shape ``[*]``."""
+        """Return ``weight * mean((a_t - a_(t-1))^2)``, shape ``[*]``."""
         change = step.after[LAST_ACTION.name] - step.before[LAST_ACTION.name]
         return self.weight * step.xp.mean(change * change, axis=-1)
 
 
 @dataclass(frozen=True)
 class Effort(RewardTerm):
-    """Penalise torque: ``weight * mean(min(|tau| / limit, 1)^2)`` over the servos with a torque limit.
+    """Penalise torque, of the servos with a torque limit.
 
     The torque is that of the servo's law at the end of the step, ``stiffness (desired - angle) - damping velocity``.
     """
@@ -49,7 +49,7 @@ class Effort(RewardTerm):
         return len(facts.servos.limited) > 0
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the mean squared share of the torque limit, shape ``[*]``."""
+        """Return ``weight * mean(min(|tau| / limit, 1)^2)``, shape ``[*]``."""
         xp, servos = step.xp, step.facts.servos
         angles, velocities = (
             xp.take(values, xp.asarray(servos.joints), axis=-1) for values in (step.now.angles, step.now.velocities)
@@ -80,7 +80,7 @@ class EndStops(RewardTerm):
             raise ConfigError(f"share must be above 0 and at most 1, got {self.share}.")
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the sum of excess angles, shape ``[*]``."""
+        """Return ``weight * sum(max(0, low - q, q - high))``, shape ``[*]``."""
         xp, angles = step.xp, step.now.angles
         low, high = (step.constant(end, angles) for end in step.facts.soft_range(self.share))
         excess = xp.maximum(low - angles, angles - high)
@@ -89,7 +89,7 @@ class EndStops(RewardTerm):
 
 @dataclass(frozen=True)
 class HomePose(RewardTerm):
-    """Penalise the distance of the joints from the standing pose: ``weight * mean((q - q_home)^2)``.
+    """Penalise the distance of the joints from the standing pose.
 
     Attributes:
         weight: Reward per squared radian (1/rad^2).
@@ -98,7 +98,7 @@ class HomePose(RewardTerm):
     weight: float = -0.5
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the mean squared distance, shape ``[*]``."""
+        """Return ``weight * mean((q - q_home)^2)``, shape ``[*]``."""
         away = step.now.angles - step.constant(step.facts.home, step.now.angles)
         return self.weight * step.xp.mean(away * away, axis=-1)
 
@@ -118,7 +118,7 @@ class FootSlip(RewardTerm):
         return facts.foot_velocities
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the horizontal speeds of the feet that are down, summed, shape ``[*]``."""
+        """Return ``weight * sum(|v_xy|)`` over the feet that are down, shape ``[*]``."""
         xp, now = step.xp, step.now
         speed = xp.sqrt(xp.sum(now.feet_velocity[..., :2] ** 2, axis=-1))
         return self.weight * xp.sum(xp.where(now.feet_down, speed, 0.0), axis=-1)
@@ -148,7 +148,7 @@ class HeightFromStanding(RewardTerm):
     free: float = 0.15
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the excess distance, shape ``[*]``."""
+        """Return ``weight * max(0, |z| / leg_length - free)``, shape ``[*]``."""
         xp = step.xp
         excess = xp.abs(step.now.height) / step.facts.leg_length - self.free
         return self.weight * xp.where(excess > 0.0, excess, 0.0)

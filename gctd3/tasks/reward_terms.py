@@ -17,7 +17,7 @@ GRAVITY = 9.81  # m/s^2, of Froude numbers
 
 @dataclass(frozen=True)
 class ForwardVelocity(RewardTerm):
-    """Reward forward velocity up to a target: ``weight * min(v, target)`` (Table 3).
+    """Reward forward velocity up to a target (Table 3).
 
     Attributes:
         target: Velocity above which the reward is constant (m/s); ``None`` for that of :attr:`froude`.
@@ -42,7 +42,7 @@ class ForwardVelocity(RewardTerm):
 
 @dataclass(frozen=True)
 class Progress(RewardTerm):
-    """Reward the distance covered over the last steps: ``weight * (y_t - y_(t-h))`` (Table 3).
+    """Reward the distance covered over the last steps (Table 3).
 
     Attributes:
         weight: Reward per metre (1/m).
@@ -60,7 +60,7 @@ class Progress(RewardTerm):
         return (recent("position", self.steps + 1),)
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the distance covered, shape ``[*]``."""
+        """Return ``weight * (y_t - y_(t-h))``, shape ``[*]``."""
         positions = step.after[f"position[{self.steps + 1}]"]
         return self.weight * (positions[..., -1] - positions[..., 0])
 
@@ -91,7 +91,7 @@ class BodyHeight(RewardTerm):
         return recent("height", self.frames), recent("feet_down", self.frames, "feet")
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the sum of distances, shape ``[*]``."""
+        """Return ``weight * sum(|z - target|)`` over the stacked frames with a foot down, shape ``[*]``."""
         xp, heights = step.xp, step.after[f"height[{self.frames}]"]
         feet = xp.sum(step.after[f"feet_down[{self.frames}]"], axis=-1)
         target = xp.where(feet == 1, self.single, self.double)
@@ -121,7 +121,7 @@ class Flight(RewardTerm):
         return (recent("feet_down", self.frames, "feet"),)
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the number of frames in flight above ``free``, shape ``[*]``."""
+        """Return ``weight * max(0, n - free)`` for ``n`` stacked frames in flight, shape ``[*]``."""
         xp = step.xp
         feet = xp.sum(step.after[f"feet_down[{self.frames}]"], axis=-1)
         up = xp.sum(feet == 0, axis=-1) - self.free
@@ -171,7 +171,7 @@ class Antiphase(RewardTerm):
     weight: float = -0.3
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the absolute sum of hip angles, summed over the pairs of legs, shape ``[*]``."""
+        """Return ``weight * sum(|q_left + q_right|)`` over the pairs of legs, shape ``[*]``."""
         xp, facts, hips = step.xp, step.facts, step.hips
         hips = hips * step.constant(facts.hip_signs, hips)
         first, second = (xp.take(hips, xp.asarray(feet), axis=-1) for feet in facts.foot_pairs.T)
@@ -203,7 +203,7 @@ class Overspeed(RewardTerm):
     above: float = 1.2
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the excess, shape ``[*]``."""
+        """Return ``weight * max(0, v - above)``, shape ``[*]``."""
         excess = step.now.velocity - self.above
         return self.weight * step.xp.where(excess > 0.0, excess, 0.0)
 
@@ -233,7 +233,7 @@ class SwingTime(RewardTerm):
         return (AIR_STEPS,)
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the lacking or excess time, summed over the feet that touch down, shape ``[*]``."""
+        """Return ``weight * sum(max(0, least - t, t - most))`` over the feet that touch down, shape ``[*]``."""
         xp, before = step.xp, step.before[AIR_STEPS.name]
         in_air = before * step.facts.control_dt
         short, long = self.least - in_air, in_air - self.most
@@ -254,7 +254,7 @@ class Tilt(RewardTerm):
     weight: float = -0.5
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the angle, shape ``[*]``."""
+        """Return ``weight * tilt``, shape ``[*]``."""
         return self.weight * step.now.tilt
 
 
@@ -273,7 +273,7 @@ class Heading(RewardTerm):
         return "yaw" in facts.base
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the angle, shape ``[*]``."""
+        """Return ``weight * |yaw|``, shape ``[*]``."""
         return self.weight * _away(step, "yaw")
 
 
@@ -292,7 +292,7 @@ class OffLine(RewardTerm):
         return "side" in facts.base
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight`` times the distance, shape ``[*]``."""
+        """Return ``weight * |side|``, shape ``[*]``."""
         return self.weight * _away(step, "side")
 
 

@@ -77,7 +77,7 @@ class TrainSettings:
         threads: CPU threads of PyTorch; ``None`` for PyTorch's default.
         logger: Logger of curves, besides progress.csv: csv, tensorboard, wandb, mlflow (where MLFLOW_TRACKING_URI says)
             or none.
-        video: Film every policy that is evaluated: videos/*.mp4 in the run, and in TensorBoard, wandb or mlflow.
+        video: Film every policy that is evaluated: ``videos/*.mp4`` in the run, and in TensorBoard, wandb or mlflow.
         keep_checkpoints: Newest checkpoints to keep, besides the best policy.
         checkpoint_every: Time between checkpoints, at least (s); it grows if writing them would take over 3 % of the
             time.

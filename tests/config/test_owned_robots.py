@@ -1,4 +1,4 @@
-"""The options of robots that people own: settings alone, each of which is valid and in README's table."""
+"""The options of robots that people own: settings alone, each of which is valid and in the pages' table."""
 
 import re
 from fnmatch import fnmatchcase
@@ -18,7 +18,9 @@ ROOT = Path(__file__).parents[2]
 OPTIONS = {file.stem: OmegaConf.load(file) for file in sorted((ROOT / "conf/robot").glob("*.yaml"))}
 OWNED = {name: option for name, option in OPTIONS.items() if "sources" in option.get("robot", {})}
 ROWS = re.findall(
-    r"^\| `(\w+)` \| ([^|]+) \| ([^|]+) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.MULTILINE
+    r"^\| `(\w+)` \| ([^|]+) \| ([^|]+) \|$",
+    (ROOT / "docs/your-robot.md").read_text(encoding="utf-8"),
+    flags=re.MULTILINE,
 )
 
 

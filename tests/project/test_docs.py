@@ -1,4 +1,4 @@
-"""The documentation's commands run, and its links lead somewhere."""
+"""The commands that README and the pages of docs/ show run, and their Python too."""
 
 import doctest
 import importlib
@@ -17,7 +17,7 @@ import torch
 import yaml
 from array_api_compat import array_namespace
 from fuzzing import answered
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from robots import TWO_LEGS
 from running import TINY, command, train
 
@@ -25,32 +25,50 @@ from gctd3.config.help import COMMANDS
 from gctd3.training.saved_configuration import load_settings
 
 ROOT = Path(__file__).parents[2]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", README, flags=re.M | re.S)
+PAGES = {
+    page.name: page.read_text(encoding="utf-8") for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+}
+# A directive's language stands in braces.
+FENCED = re.compile(r"^```([^\n`]*)\n(.*?)^```", re.M | re.S)
+BLOCKS = [block for text in PAGES.values() for block in FENCED.findall(text)]
 SHELL = "".join(text for language, text in BLOCKS if not language)
 EXTRAS = re.findall(r"^(\w+) = \[", (ROOT / "pyproject.toml").read_text(encoding="utf-8"), flags=re.M)
 PARTS = sorted({part.strip() for line in SHELL.splitlines() for part in line.split("&&")})
 
 
-def test_readme_python_runs(exported, monkeypatch):
+PYTHON = [(page, text) for page in PAGES for language, text in FENCED.findall(PAGES[page]) if language == "python"]
+RUNS = "# runs\n"
+
+
+def test_python_compiles():
+    assert len(PYTHON) >= 8
+    for page, text in PYTHON:
+        compile(text, page, "exec")
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize(("page", "text"), [(page, text) for page, text in PYTHON if text.startswith(RUNS)])
+def test_python_runs(page, text, exported, monkeypatch):
     monkeypatch.chdir(exported.parent)
-    blocks = re.findall(r"^```python\n(.*?)^```", README, flags=re.M | re.S)
-    assert len(blocks) == 4
     names: dict[str, object] = {}
-    for block in blocks:
-        exec(block, names)
-    assert names["rollout"].batch_size == (64, 100)
-    assert names["envs"].num_envs == 64
-    assert list(names["command"]) == list(names["policy"].command) and len(names["command"]) == 6
+    exec(text, names)
+    # Each says in its comments what it makes.
+    if "rollout" in names:
+        assert names["rollout"].batch_size in ((64, 100), (2, 50))
+    if "envs" in names:
+        assert names["envs"].num_envs == 64
+    if "command" in names:
+        assert list(names["command"]) == list(names["policy"].command) and len(names["command"]) == 6
+    assert {"rollout", "envs", "command", "step"} & set(names)
 
 
 @pytest.mark.parametrize("backend", ["batched", pytest.param("dm_control", marks=pytest.mark.nightly)])
-def test_readmes_reward_term_is_trained_with(backend, tmp_path, monkeypatch):
+def test_the_shown_reward_term_is_trained_with(backend, tmp_path, monkeypatch):
     text = next(text for language, text in BLOCKS if language == "python" and "class Hurry" in text)
     # Another test may have imported another module of this name.
     monkeypatch.setitem(sys.modules, "my_package", ModuleType("my_package"))
     exec(text, vars(sys.modules["my_package"]))
-    keys = re.findall(r"`(\+reward[^`]*)`", README)
+    keys = re.findall(r"`(\+reward[^`]*)`", PAGES["extend.md"])
     assert len(keys) == 2
     train(tmp_path / "run", f"env.backend={backend}", *keys)
     term = load_settings(tmp_path / "run").reward.terms["hurry"]
@@ -60,13 +78,6 @@ def test_readmes_reward_term_is_trained_with(backend, tmp_path, monkeypatch):
         np.testing.assert_allclose(np.asarray(term(step)), [0.0, 0.05, 0.5], rtol=1e-6)
 
 
-def test_readme_links_lead_somewhere():
-    links = re.findall(r"\]\((?!https?:)([^)]+)\)", README)
-    assert len(links) >= 5
-    for link in links:
-        assert (ROOT / link).exists(), link
-
-
 @pytest.mark.parametrize("module", ["gctd3.robots.graph", "gctd3.nn.factories", "gctd3.envs.factory"])
 def test_docstring_examples(module):
     result = doctest.testmod(importlib.import_module(module))
@@ -74,7 +85,7 @@ def test_docstring_examples(module):
     assert result.failed == 0
 
 
-# README's command lines, each where the files are that it names.
+# Command lines, each where the files are that it names.
 
 RUN, SWEEP = "runs/biped/gctd3/2026-01-31_12-00-00", "multirun/2026-01-31_12-00-00"
 BUDGET = [f"{key}={value}" for key, value in TINY.items()]
@@ -115,17 +126,20 @@ NEEDS = {
 # Run by the continuous integration, in a fresh environment.
 INSTALL = {
     'pip install -e ".[test]"',
+    'pip install -e ".[docs]"',
     "pip install -e .",
     "pytest",
     "pip install uv",
     'uv pip install --torch-backend=cpu "torch<2.15"',
 }
+# Those of the site and its tables, which tests/project/test_site.py runs.
+INSTALL |= {"python -m sphinx docs site"}
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     """Make a folder with a stopped run, a sweep, an MJCF of a robot that does not ship, and its YAML."""
-    root = tmp_path_factory.mktemp("readme")
+    root = tmp_path_factory.mktemp("pages")
     run = train(root / RUN, "total_frames=160")
     for seed in range(2):
         one = shutil.copytree(run, root / SWEEP / "gctd3" / str(seed))
@@ -142,18 +156,25 @@ def place(tmp_path_factory):
     return root
 
 
-def test_every_line_of_readme_is_accounted_for():
-    known = [rf"python -m gctd3\.({'|'.join(COMMANDS)})( .+)?", r"python -m gctd3", r"python benchmarks/\w+\.py .+"]
-    known += [rf"pip install 'gctd3\[({'|'.join(EXTRAS)})\]'"]
-    strange = [part for part in PARTS if part not in INSTALL and not any(re.fullmatch(k, part) for k in known)]
-    assert not strange and len(PARTS) >= 15
+def test_every_line_is_accounted_for():
+    known = [
+        rf"python -m gctd3\.({'|'.join(COMMANDS)})( .+)?",
+        r"python -m gctd3",
+        r"python (benchmarks|examples)/\w+\.py .+",
+    ]
+    known += [rf"pip install ([\"'])gctd3\[({'|'.join(EXTRAS)})\]\1", r"(uv )?pip (un)?install (?!.*gctd3\[).+"]
+    # Other programs' lines, and what is printed, are not ours to run.
+    ours = [part for part in PARTS if re.match(r"(python|pip|uv|pytest|gctd3)\b", part)]
+    strange = [part for part in ours if part not in INSTALL and not any(re.fullmatch(k, part) for k in known)]
+    assert not strange and len(ours) >= 30
+    assert {part for part in PARTS if part.startswith("pip install -e")} <= INSTALL
     assert {parsed(line)[0] for line in quick()} <= {*QUICK} and len(quick()) >= 3 and OTHERS
     written = (ROOT / ".ci/run").read_text(encoding="utf-8")
     assert 'pip install -q -e ".[test]"' in written and "\npytest\n" in written
     assert "\npytest -m nightly " in (ROOT / ".ci/nightly").read_text(encoding="utf-8")
 
 
-LINES = [part for part in PARTS if part.startswith("python")]
+LINES = [part for part in PARTS if part.startswith("python") and part not in INSTALL]
 
 
 def parsed(line):
@@ -187,7 +208,7 @@ def quick():
 
 
 @pytest.mark.parametrize("line", quick())
-def test_a_line_of_each_quick_command_of_readme_runs(line, place, monkeypatch, capfd):
+def test_a_line_of_each_quick_command_runs(line, place, monkeypatch, capfd):
     run_line(line, place, monkeypatch)
 
 
@@ -195,7 +216,7 @@ OTHERS = [line for line in LINES if parsed(line)[0] in COMMANDS and parsed(line)
 
 
 @pytest.mark.parametrize("line", OTHERS)
-def test_the_settings_of_a_line_of_readme_are_known(line, place, monkeypatch, capsys):
+def test_the_settings_of_a_line_are_known(line, place, monkeypatch, capsys):
     """The nightly tests run them in full."""
     monkeypatch.chdir(place)
     name, arguments = parsed(line)
@@ -203,12 +224,14 @@ def test_the_settings_of_a_line_of_readme_are_known(line, place, monkeypatch, ca
     shown = OmegaConf.create(capsys.readouterr().out)
     for argument in arguments:
         key, _, value = argument.partition("=")
-        assert OmegaConf.select(shown, key.lstrip("+")) == yaml.safe_load(value), argument
+        found = OmegaConf.select(shown, key.lstrip("+"))
+        # An option of a group brings keys of its own.
+        assert isinstance(found, DictConfig) or found == yaml.safe_load(value), argument
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("line", LINES)
-def test_a_command_of_readme_runs(line, place, monkeypatch, capfd):
+def test_a_command_runs(line, place, monkeypatch, capfd):
     run_line(line, place, monkeypatch)
 
 
@@ -216,7 +239,7 @@ TRAININGS = [line for line in LINES if parsed(line)[0] == "train" and "-m" not i
 
 
 @pytest.mark.parametrize("line", [line for line in TRAININGS if line not in quick()])
-def test_a_training_of_readme_can_begin(line, place, monkeypatch):
+def test_a_training_can_begin(line, place, monkeypatch):
     monkeypatch.chdir(place)
     _, arguments = parsed(line)
     assert answered("train", *arguments, *small("train", arguments)) == 0
