@@ -146,7 +146,7 @@ class _Translation:
             self.defined[key] = f"{'W' if real else 'T'}{len(self.defined)}"
             kind = "float" if real else "int"
             # The shortest decimal that is read back as the same float.
-            texts = [f"{value}{'f' if real else ''}" for value in flat]
+            texts = [str(value) + ("f" if real else "") for value in flat]
             rows = "\n".join(lines(texts))
             self.made.constants.append(f"static constexpr {kind} {self.defined[key]}[{flat.size}] = {{\n{rows}}};")
         return self.defined[key]
