@@ -89,6 +89,14 @@ def following_contract(frames=4):
     return small_contract(frames, nodes=(body, contract.nodes[1], *joints, contract.nodes[4]), safety=safety)
 
 
+def ticking_contract(frames=2, hz=2.5, phase=0.25):
+    """Return a contract in which the ground's second feature is the clock of a gait."""
+    contract = small_contract(frames)
+    clock = Feature("clock_cos_foot", "clock", "1", "clock", -1.0, 1.0, clock_hz=hz, clock_phase=phase)
+    ground = Node("ground", (contract.nodes[-1].features[0], clock))
+    return small_contract(frames, nodes=(*contract.nodes[:-1], ground))
+
+
 def small_model(contract, opset=18, batch="batch", kind=None, names=("nodes", "action"), shape=None, bias=0.0):
     """Serialise tanh(flattened nodes * weights + bias) as an ONNX file."""
     import onnx

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import gctd3
-from gctd3.deploy.contract_checks import LAST_ACTION, contradictions
+from gctd3.deploy.contract_checks import CLOCK, LAST_ACTION, contradictions
 from gctd3.deploy.contract_parts import Feature, NetworkFile, Node, RobotIdentity, Safety, Servo
 from gctd3.errors import ContractError, RobotError, RunError, one_line, shown
 from gctd3.files import MANIFEST, OWN_MJCF, OWN_ROBOT, check_file, read_manifest, seal
@@ -85,7 +85,7 @@ class Contract:
     def features(self) -> tuple[Feature, ...]:
         """Return the features whose reading the robot gives, in the order of the nodes."""
         given = (f for node in self.nodes for f in node.features if f.reading is not None)
-        return tuple(feature for feature in given if feature.source != LAST_ACTION)
+        return tuple(feature for feature in given if feature.source not in (LAST_ACTION, CLOCK))
 
     @property
     def readings(self) -> tuple[str, ...]:
@@ -101,6 +101,16 @@ class Contract:
             for i, node in enumerate(self.nodes)
             for k, feature in enumerate(node.features)
             if feature.source == LAST_ACTION
+        )
+
+    @property
+    def clocks(self) -> tuple[tuple[int, int, float, float], ...]:
+        """Return node, feature, frequency (Hz) and phase (periods) of each feature that is a clock."""
+        return tuple(
+            (i, k, feature.clock_hz, feature.clock_phase)
+            for i, node in enumerate(self.nodes)
+            for k, feature in enumerate(node.features)
+            if feature.source == CLOCK
         )
 
     def to_json(self) -> str:

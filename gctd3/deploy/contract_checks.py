@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 # A desired angle further from 0 is one in degrees.
 MOST_ANGLE = 4.0 * math.pi  # rad
-LAST_ACTION = "last action"  # source of features that the policy itself knows
+LAST_ACTION, CLOCK = "last action", "clock"  # sources of features that the policy itself knows
 BY_ANGLES, BY_GRAVITY = "arc cosine of the product of the cosines", "arc cosine of the negative reading"
 MOST_REPEATS = 10_000  # frames of the history, and periods of holding
 LEAST_RATE, MOST_RATE = 1e-3, 1e6  # Hz
@@ -29,6 +29,8 @@ def contradictions(contract: Contract) -> Iterator[str]:
         for feature in node.features:
             if feature.source == LAST_ACTION and (node.name not in joints or feature.reading is None):
                 yield f"node {node.name!r} has a last action, and no servo drives it"
+            if (feature.source == CLOCK) != (0 < feature.clock_hz <= MOST_RATE and abs(feature.clock_phase) <= 1):
+                yield f"a feature of node {node.name!r} is a clock without a frequency, or has one and is none"
             yield from _feature(node.name, feature)
     for servo in contract.servos:
         yield from _servo(servo)

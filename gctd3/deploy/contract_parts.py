@@ -23,6 +23,9 @@ class Feature:
         margin: Part of both limits that lies beyond the range of the joint and of the values seen in simulation.
         binary: Whether the reading is 0 or 1.
         zero: Value of the reading at which the feature is 0: the network sees the difference.
+        clock_hz: With the source ``clock``, which the policy itself knows, the feature is ``sin(2 pi (clock_hz t +
+            clock_phase))`` at the time ``t`` since the first reading after a reset (Hz).
+        clock_phase: Of the same (periods).
     """
 
     reading: str | None
@@ -34,6 +37,8 @@ class Feature:
     margin: float = 0.0
     binary: bool = False
     zero: float = 0.0
+    clock_hz: float = 0.0
+    clock_phase: float = 0.0
 
 
 @dataclass(frozen=True)

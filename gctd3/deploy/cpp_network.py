@@ -145,8 +145,8 @@ class _Translation:
         if key not in self.defined:
             self.defined[key] = f"{'W' if real else 'T'}{len(self.defined)}"
             kind = "float" if real else "int"
-            texts = [f"{value!r}f" for value in flat.astype(np.float64)] if real else list(map(str, flat))
-            texts = [text.replace("np.float64(", "").replace(")", "") for text in texts]
+            # The shortest decimal that is read back as the same float.
+            texts = [str(value) + ("f" if real else "") for value in flat]
             rows = "\n".join(lines(texts))
             self.made.constants.append(f"static constexpr {kind} {self.defined[key]}[{flat.size}] = {{\n{rows}}};")
         return self.defined[key]

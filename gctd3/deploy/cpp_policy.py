@@ -47,6 +47,7 @@ def _contract(contract: Contract) -> str:
     place = {name: i for i, name in enumerate(contract.readings)}
     placed = [i * width + k for i, n in enumerate(nodes) for k, f in enumerate(n.features) if f.reading in place]
     own = contract.own_actions
+    clocks = contract.clocks
     angles = [place.get(str(servo.angle_reading), 0) for servo in servos]
     tilts = [place[name] for name in safety.tilt_readings]
     lines = [
@@ -69,6 +70,10 @@ def _contract(contract: Contract) -> str:
         f"constexpr int OWN = {len(own)};  // features that are a servo's last action",
         _array("int", "OWN_PLACE", [str(i * width + k) for i, k, _ in own] or ["0"]),
         _array("int", "OWN_SERVO", [str(servo) for _, _, servo in own] or ["0"]),
+        f"constexpr int CLOCKS = {len(clocks)};  // features that are a clock",
+        _array("int", "CLOCK_PLACE", [str(i * width + k) for i, k, _, _ in clocks] or ["0"]),
+        _array("double", "CLOCK_HZ", [repr(hz) for _, _, hz, _ in clocks] or ["0.0"]),
+        _array("double", "CLOCK_PHASE", [repr(phase) for *_, phase in clocks] or ["0.0"]),
         _array("const char*", "SERVO_NAMES", (_text(servo.actuator) for servo in servos)),
         _array("int", "ANGLE", map(str, angles)),
         *(

@@ -95,6 +95,7 @@ class Policy:
         self._frames: np.ndarray | None = None
         self._action = np.zeros(len(self.contract.servos), dtype=np.float32)
         self._time = self._frame_time = -math.inf
+        self._began: float | None = None
         self._late: float | None = None
 
     @property
@@ -162,7 +163,9 @@ class Policy:
         self._starting = self.at_home = False
         try:
             when = self._at(time, now)
-            stack = self._history(self._readings.frame(self._read(readings), self._action), when)
+            values = self._read(readings)
+            began = when if self._began is None else self._began
+            stack = self._history(self._readings.frame(values, self._action, when - began), when)
             action = self._run(stack)
         except RefusalError as refusal:
             raise self._refuse(refusal) from None
@@ -170,7 +173,7 @@ class Policy:
         last = self._safe.angles
         allowed = np.clip(desired, last - self._most, last + self._most)
         self.limited += int((allowed != desired).any())
-        self._frames, self._frame_time, self._action = stack, when, action
+        self._frames, self._frame_time, self._action, self._began = stack, when, action, began
         self._safe.accept(allowed)
         return self.command
 

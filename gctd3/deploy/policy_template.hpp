@@ -139,7 +139,7 @@ class Policy {
   int periods() const { return periods_; }
 
  private:
-  static constexpr double NEVER = -std::numeric_limits<double>::infinity();
+  static constexpr double NEVER = -std::numeric_limits<double>::infinity(), TURN = 6.283185307179586;
 
   static double clip(double x, double low, double high) { return x < low ? low : x > high ? high : x; }
 
@@ -203,6 +203,9 @@ class Policy {
     float frame[NODES * FEATURES] = {};
     for (int i = 0; i < READINGS; ++i) frame[PLACE[i]] = static_cast<float>(readings[i] - ZERO[i]);
     for (int i = 0; i < OWN; ++i) frame[OWN_PLACE[i]] = action_[OWN_SERVO[i]];
+    const double elapsed = filled_ ? time - began_ : 0.0;
+    for (int i = 0; i < CLOCKS; ++i)
+      frame[CLOCK_PLACE[i]] = static_cast<float>(std::sin(TURN * (CLOCK_HZ[i] * elapsed + CLOCK_PHASE[i])));
     float history[FRAMES][NODES * FEATURES];
     double missed = (time - frame_time_) / PERIOD - 1.0;
     missed = missed < 0.0 ? 0.0 : missed;
@@ -229,13 +232,14 @@ class Policy {
     }
     for (int f = 0; f < FRAMES; ++f) network::copy(history[f], history_[f], NODES * FEATURES);
     network::copy(action, action_, SERVOS);
+    if (!filled_) began_ = time;
     filled_ = true;
     frame_time_ = time;
     periods_ = 0;
     return nullptr;
   }
 
-  double angles_[SERVOS] = {}, time_ = NEVER, frame_time_ = NEVER, late_ = 0.0;
+  double angles_[SERVOS] = {}, time_ = NEVER, frame_time_ = NEVER, began_ = 0.0, late_ = 0.0;
   float action_[SERVOS] = {}, history_[FRAMES][NODES * FEATURES] = {}, scratch_[@SCRATCH@] = {};
   int periods_ = 0;
   bool filled_ = false, late_known_ = false, starting_ = false, stopped_ = false,

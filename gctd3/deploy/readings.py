@@ -34,6 +34,7 @@ class Readings:
         self._binary = np.array([f.binary for f in features])
         self._zero = np.array([f.zero for f in features])
         place = {name: i for i, name in enumerate(self._names)}
+        self._clocks = np.array(contract.clocks).reshape(-1, 4).T
         self._own = np.array(contract.own_actions, dtype=np.int64).reshape(-1, 3).T
         self._by_gravity = contract.safety.tilt == BY_GRAVITY
         self._tilt = [place[name] for name in contract.safety.tilt_readings]
@@ -78,17 +79,20 @@ class Readings:
                 continue
             raise RefusalError(f"{name} must be {expected}, got {shown(given[name])}.")
 
-    def frame(self, values: np.ndarray, action: np.ndarray) -> np.ndarray:
+    def frame(self, values: np.ndarray, action: np.ndarray, elapsed: float) -> np.ndarray:
         """Return the features of every node in one frame, ``float32 [N, features]``.
 
         Args:
             values: Values of the readings, shape ``[R]``.
             action: The last action, shape ``[A]``.
+            elapsed: Time since the first frame (s).
         """
         frame = np.zeros(self._shape, dtype=np.float32)
         frame[self._node, self._feature] = (values - self._zero).astype(np.float32)
         node, feature, servo = self._own
         frame[node, feature] = action[servo]
+        *clock, frequency, phase = self._clocks
+        frame[tuple(np.array(clock, dtype=np.int64))] = np.sin(2 * np.pi * (frequency * elapsed + phase))
         return frame
 
     def tilt(self, values: np.ndarray) -> float:

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from gctd3.deploy.contract import FORMAT, Contract
+from gctd3.deploy.contract_checks import CLOCK
 from gctd3.deploy.contract_parts import Feature, NetworkFile, Node, RobotIdentity, Safety, Servo
 from gctd3.deploy.settings import ExportSettings
 from gctd3.errors import ConfigError, RobotError, suggest
@@ -134,6 +135,10 @@ def _feature(robot: Robot, node: str, reading: Reading, values: np.ndarray, leas
             f"{suggest(reading.source, SOURCES)} Sources: {', '.join(SOURCES)}."
         )
     source = reading.source if reading.source != "not stated" else BY_QUANTITY.get(reading.quantity, "not stated")
+    if source == CLOCK:
+        return Feature(
+            reading.name, reading.meaning, "1", source, -1.0, 1.0, clock_hz=reading.frequency, clock_phase=reading.phase
+        )
     unit = next((unit for ending, unit in UNITS.items() if reading.name.endswith(ending)), "1")
     # A count of contacts is more than 0 or 1.
     binary = reading.quantity == "contact" and bool(np.isin(values, (0.0, 1.0)).all())

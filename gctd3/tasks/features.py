@@ -37,6 +37,8 @@ class Reading:
         sign: +1 if the reading keeps its sign in the mirror, -1 if not.
         zero: Value of the reading at which the feature is 0, in the reading's unit.
         source: Sensor that gives the reading on a real robot.
+        frequency: Of a clock, ``sin(2 pi (frequency t + phase))`` at the time ``t`` since the episode's start (Hz).
+        phase: Of the same (periods).
     """
 
     name: str
@@ -45,6 +47,8 @@ class Reading:
     sign: float = 1.0
     zero: float = 0.0
     source: Source = "not stated"
+    frequency: float = 0.0
+    phase: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -86,11 +86,21 @@ class GaitClock(NodeFeature):
         # In the mirror the feet of a pair have each other's phase, which is half a period away.
         sign = -1.0 if any(len(pair) > 1 for pair in robot.foot_pairs) else 1.0
         rows: list[list[Reading | None]] = [[] for _ in nodes]
-        for foot, (node, place) in zip(robot.feet, foot_slots(robot), strict=True):
+        pattern = self.pattern(robot)
+        for foot, phase, (node, place) in zip(robot.feet, pattern.phases, foot_slots(robot), strict=True):
             if place == 0:
                 rows[node] = [
-                    Reading(f"{wave}_{foot}", f"{meaning} of the phase of this foot's stride", "command", sign)
-                    for wave, meaning in (("clock_sin", "sine"), ("clock_cos", "cosine"))
+                    Reading(
+                        f"{wave}_{foot}",
+                        f"{meaning} of the phase of this foot's stride",
+                        "command",
+                        sign,
+                        source="clock",
+                        frequency=pattern.frequency,
+                        phase=float(phase + ahead),
+                    )
+                    # A cosine is a sine a quarter of a period ahead.
+                    for wave, meaning, ahead in (("clock_sin", "sine", 0.0), ("clock_cos", "cosine", 0.25))
                 ]
         return rows
 

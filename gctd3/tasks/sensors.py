@@ -6,7 +6,8 @@ from typing import Literal, get_args
 
 # ``foot contact switch``: a switch, or a contact estimated from torques. ``simulator``: a quantity that no sensor of a
 # robot which walks freely measures, such as its exact height, heading, place and speed; ``boom encoder``: on a boom,
-# encoders in the boom's joints measure them. ``last action``: no sensor, the policy itself. ``nothing``: always 0.
+# encoders in the boom's joints measure them. ``last action`` and ``clock``: no sensor, the policy itself. ``nothing``:
+# always 0.
 Source = Literal[
     "joint encoder",
     "IMU gyroscope",
@@ -15,6 +16,7 @@ Source = Literal[
     "state estimator",
     "command",
     "last action",
+    "clock",
     "boom encoder",
     "simulator",
     "not stated",

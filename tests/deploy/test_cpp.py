@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 import torch
 from running import command
-from small_policies import HOLD, RATE, answers, compiled, following_contract, small_contract, small_model, write_policy
+from small_policies import (
+    HOLD,
+    RATE,
+    answers,
+    compiled,
+    following_contract,
+    small_contract,
+    small_model,
+    ticking_contract,
+    write_policy,
+)
 
 import gctd3
 from gctd3 import KinematicGraph
@@ -147,7 +157,9 @@ def test_numbers_of_a_header_are_the_files(exported):
 
 
 @needs_compiler
-@pytest.mark.parametrize("contract_of", [pytest.param(small_contract, marks=pytest.mark.nightly), following_contract])
+@pytest.mark.parametrize(
+    "contract_of", [pytest.param(small_contract, marks=pytest.mark.nightly), following_contract, ticking_contract]
+)
 def test_the_headers_policy_is_pythons_over_good_and_bad_calls(tmp_path, contract_of):
     """The same calls to both: the same refusals, the same commands; readings, times, tilts, starts and resets."""
     contract = contract_of()

@@ -16,10 +16,12 @@ from small_policies import (
     TILT,
     following_contract,
     small_contract,
+    ticking_contract,
     write_policy,
 )
 
 from gctd3.deploy import Policy
+from gctd3.deploy.contract import Node
 from gctd3.errors import ContractError, ReadingError
 
 pytest.importorskip("onnx")
@@ -237,6 +239,31 @@ def test_the_policy_knows_its_last_action_itself(tmp_path):
     policy.reset()
     policy.step(upright, 0.0)
     assert network.seen[2][0, 2:4].tolist() == [[0, 0, 0, 0]] * 2
+
+
+def test_the_policy_tells_the_time_of_its_gait_itself(tmp_path):
+    """At 2.5 Hz and 100 steps a second a stride is 40 steps: cosines by hand; a late reading is as much later."""
+    policy = Policy(write_policy(tmp_path, ticking_contract()))
+    assert "clock_cos_foot" not in policy.contract.readings
+    network = policy._session = Fixed(0.0, 0.0)
+    for time in (7.0, 7.0 + P, 7.0 + 2 * P, 7.0 + 5 * P):
+        policy.step(good(policy), time)
+    refused(policy, None, 7.0 + 6 * P)
+    policy.step(good(policy), 7.0 + 10 * P)
+    seen = [nodes[0, 4, 3] for nodes in network.seen]
+    np.testing.assert_allclose(seen, np.cos(2 * np.pi * np.array([0, 1, 2, 5, 10]) / 40), atol=1e-6)
+    policy.reset()
+    policy.step(good(policy), 99.0)
+    assert network.seen[-1][0, 4, 3] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("change", [{"clock_hz": 0.0}, {"clock_hz": -1.0}, {"source": "command"}, {"clock_phase": 9.0}])
+def test_a_clock_that_is_none_is_refused(change):
+    contract = ticking_contract()
+    clock = dataclasses.replace(contract.nodes[-1].features[1], **change)
+    ground = Node("ground", (contract.nodes[-1].features[0], clock))
+    with pytest.raises(ContractError, match="a feature of node 'ground' is a clock without a frequency, or has one"):
+        small_contract(nodes=(*contract.nodes[:-1], ground))
 
 
 def test_a_tilt_is_seen_by_gravitys_direction(tmp_path):
