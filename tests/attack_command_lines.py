@@ -38,7 +38,8 @@ def check(name, arguments, output):
     if "Traceback" in said or code not in (0, 2):
         return f"defect: exit code {code}: {said[-500:]}"
     if code == 2:
-        lines = [line for line in said.splitlines() if line.startswith("error: ")]
+        # An option of the shell's kind, "--nonsense", is answered by Python's parser of options.
+        lines = [line for line in said.splitlines() if ": error: " in f": {line}"]
         if len(lines) != 1 or len(lines[0]) < 12:
             return f"defect: not one message: {said[-500:]}"
         return "refused"

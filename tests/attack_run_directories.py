@@ -71,7 +71,7 @@ def _answered(name, *arguments):
     said = error.getvalue()
     if "Traceback" in said or code not in (0, 2):
         return f"defect: exit code {code}: {said[-500:]}"
-    lines = [line for line in said.splitlines() if line.startswith("error: ")]
+    lines = [line for line in said.splitlines() if ": error: " in f": {line}"]
     if code == 2:
         return "refused" if len(lines) == 1 and len(lines[0]) > 12 else f"defect: not one message: {said[-500:]}"
     return "ok"

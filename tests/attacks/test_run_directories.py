@@ -63,7 +63,7 @@ def damage_bytes(path, rng):
     elif kind == "empty":
         data.clear()
     else:
-        data += data
+        data = data + data
     path.write_bytes(data)
 
 
