@@ -30,6 +30,7 @@ html_theme_options = {"top_of_page_buttons": []}
 # Blocks without a language are command lines.
 highlight_language = "bash"
 pygments_style, pygments_dark_style = "friendly", "monokai"
+smartquotes = False  # messages are quoted as they are
 copybutton_exclude = ".linenos, .gp, .go"
 
 myst_enable_extensions = ["deflist", "attrs_block", "colon_fence"]
