@@ -100,6 +100,7 @@ def test_parity_under_swinging_legs(robot):
     assert {"long_contact", "truncated"} <= set(seen)
 
 
+@pytest.mark.dm_control
 def test_both_backends_write_the_same_keys():
     def layout(backend):
         env = make_env("biped", 2, backend=backend, seed=0)
