@@ -68,7 +68,7 @@ def _digest(fields: Iterator[Field]) -> str:
 
 
 def rounded(values: np.ndarray, digits: int = DIGITS) -> tuple[np.ndarray, np.ndarray]:
-    """Round each row to ``digits`` digits of its largest number.
+    """Return each row in units of the last of ``digits`` digits of its largest number.
 
     Args:
         values: Shape ``[*]`` or ``[*, K]``; each number of a shape ``[n]`` is a row of its own.
