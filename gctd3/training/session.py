@@ -16,7 +16,7 @@ from gctd3.config.build import again, build, packages
 from gctd3.config.paths import escaped
 from gctd3.errors import RunError
 from gctd3.files import remove_empty, shown
-from gctd3.robots.own_copy import has_robot, keep_robot
+from gctd3.robots.keep import has_robot, keep_robot
 from gctd3.signals import StopRequest
 from gctd3.training.run_lock import only_one
 from gctd3.training.saved_configuration import CONFIG, changed, save_config

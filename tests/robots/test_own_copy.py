@@ -10,7 +10,8 @@ from robots import FREE_LEGS, TWO_LEGS, write
 
 from gctd3.errors import RunError
 from gctd3.files import checksum, read_manifest, write_manifest
-from gctd3.robots.own_copy import OwnCopy, keep_robot
+from gctd3.robots.keep import keep_robot
+from gctd3.robots.own_copy import OwnCopy
 from gctd3.robots.settings import GivenRobot, RobotSettings
 
 TETRAHEDRON = "v 0 0 0\nv {0} 0 0\nv 0 {0} 0\nv 0 0 {0}\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
