@@ -16,7 +16,7 @@ from gctd3.config.paths import escaped
 from gctd3.config.terminal import enduring_output
 from gctd3.errors import RunError
 from gctd3.files import refuse_links, remove, remove_empty, remove_leftovers, shown
-from gctd3.robots.own_copy import has_robot, keep_robot
+from gctd3.robots.keep import has_robot, keep_robot
 from gctd3.signals import StopRequest
 from gctd3.training.announcements import best_text, closing, opening
 from gctd3.training.own_process import in_own_process
