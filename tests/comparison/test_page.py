@@ -189,7 +189,7 @@ def test_a_sentence_stands_above_the_comparisons_and_the_rest_is_folded(opened, 
     assert after == ["short", "scroll lines", "note", "DETAILS"]
     said = page.locator(".short").inner_text()
     assert said == "In short: no difference shown in 24 comparisons."
-    # Five groups against the first by four numbers; the time to the finish too, but for that with a run that was stopped.
+    # Five groups against the first by four numbers; the time to the finish too, without the group of the stopped run.
     rows = every(page, ".lines tbody tr", "[...e.cells].map(cell => cell.innerText.split('\\n'))")
     assert len(rows) == 24 and {row[-1][0] for row in rows} == {"no difference shown, so few seeds cannot show one"}
     assert rows[0][0] == ["return", f"{GROUPS[0]} against {GROUPS[1]}"]
