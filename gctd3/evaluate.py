@@ -6,7 +6,6 @@ import sys
 from typing import TYPE_CHECKING
 
 from gctd3.config.help import helped
-from gctd3.files import shown
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -24,6 +23,7 @@ def _task(config: DictConfig) -> None:
         measure_run,
         table,
         where_to_write,
+        where_written,
         write_evaluation,
         write_robustness,
     )
@@ -45,13 +45,7 @@ def _task(config: DictConfig) -> None:
         print(f"\n{robustness_table(results)}", flush=True)
         write_robustness(folder, results)
         written += [ROBUSTNESS, ROBUSTNESS_PICTURE]
-    if folder is not None:
-        files = [folder / name for name in written]
-        print(f"\nWritten to {' and '.join(shown(file) for file in files if file.is_file())}")
-    elif refused is None:
-        print("\nNothing is written for the policy that ships with gctd3: out=DIR writes, and run=DIR to that run.")
-    else:
-        print(f"\n{refused}")
+    print(f"\n{refused or where_written(folder, written)}")
 
 
 def main() -> None:

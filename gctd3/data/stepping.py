@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -100,7 +99,13 @@ class Stepping(torch.nn.Module):
         self.register_buffer("lagging", lag, persistent=False)
         self.register_buffer("joints", _joint_paths(robot, self.DAMPING * self._length), persistent=False)
         self.groups = int(group.max()) + 1
-        self._fixed = {} if gait is None else _fixed_genes(gait, robot.foot_pairs, self._pendulum)
+        self._fixed: dict[str, Tensor] = {}
+        if gait is not None:
+            # Of a robot whose feet are no mirror images, each foot has the phase that the gait gives it.
+            phases = torch.from_numpy(gait.phases).float()
+            firsts = phases[[int((group == pair).nonzero()[0]) for pair in range(self.groups)]]
+            self.lagging = phases - firsts[group]
+            self._fixed = {"frequency": torch.tensor(gait.frequency / self._pendulum), "phase": firsts}
         for name, values in self._draw(num_robots).items():
             self.register_buffer(name, values)
             self.register_buffer(f"best_{name}", values.clone())
@@ -246,12 +251,6 @@ def _groups(robot: Robot) -> tuple[Tensor, Tensor]:
             lag[other] = 0.5 if other != foot else 0.0
             count += 1
     return torch.tensor(group), torch.tensor(lag)
-
-
-def _fixed_genes(gait: GaitPattern, pairs: Sequence[Sequence[int]], pendulum: float) -> dict[str, Tensor]:
-    """Return the genes that a gait determines: its frequency, and the phase of the first foot of each pair."""
-    phases = torch.from_numpy(gait.phases[[pair[0] for pair in pairs]]).float()
-    return {"frequency": torch.tensor(gait.frequency / pendulum), "phase": phases}
 
 
 def _joint_paths(robot: Robot, damping: float) -> Tensor:

@@ -263,7 +263,7 @@ def test_a_run_that_reached_what_it_was_to_show_is_at_its_end(tmp_path):
 def test_a_sweeper_gets_the_return_of_the_best_policy(tmp_path, monkeypatch):
     got = []
 
-    from gctd3 import train as module
+    from gctd3.training import session as module
 
     actual = module.train
     monkeypatch.setattr(module, "train", lambda config: got.append(actual(config)) or got[-1])
