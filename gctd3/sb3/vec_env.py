@@ -44,16 +44,21 @@ class BatchedVecEnv(VecEnv):
         if (mode := self.env.metadata.get("autoreset_mode")) is not AutoresetMode.DISABLED:
             raise ConfigError(f"The environment's autoreset_mode must be DISABLED, got {mode}.")
         self._actions = np.zeros(0)
+        self._starts: list[int | None] = [None] * self.env.num_envs
         super().__init__(self.env.num_envs, self.env.single_observation_space, self.env.single_action_space)
 
     def reset(self) -> VecEnvObs:
         """Start an episode on every robot."""
-        seeds: Any = None if None in self._seeds else list(self._seeds)
+        seeds: Any = None if None in self._starts else self._starts
         observation, infos = self.env.reset(seed=seeds)
         self.reset_infos = rows(infos, self.num_envs)
-        self._reset_seeds()
-        self._reset_options()
+        self.seed()
         return cast(VecEnvObs, observation)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Keep the first robot's seed for the next reset, each further one's being one more; ``None`` for no seed."""
+        self._starts = [None if seed is None else seed + i for i in range(self.num_envs)]
+        return self._starts
 
     def step_async(self, actions: np.ndarray) -> None:
         """Keep the actions ``[num_envs, A]`` for :meth:`step_wait`."""
@@ -82,7 +87,7 @@ class BatchedVecEnv(VecEnv):
         # Gymnasium's wrappers of vector environments do not hand attributes on.
         while not hasattr(owner, attr_name) and isinstance(owner, VectorWrapper):
             owner = owner.env
-        return [getattr(owner, attr_name)] * len(list(self._get_indices(indices)))
+        return [getattr(owner, attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:  # noqa: ANN401
         """Set an attribute of all robots.
@@ -90,7 +95,7 @@ class BatchedVecEnv(VecEnv):
         Raises:
             ConfigError: If ``indices`` are some robots only, which share it.
         """
-        if len(list(self._get_indices(indices))) != self.num_envs:
+        if self._count(indices) != self.num_envs:
             raise ConfigError(f"{attr_name} can only be set for all robots: they share one environment.")
         setattr(self.env.unwrapped, attr_name, value)
 
@@ -110,7 +115,12 @@ class BatchedVecEnv(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         """Tell that no robot has an environment of its own that a wrapper could be around."""
-        return [False] * len(list(self._get_indices(indices)))
+        return [False] * self._count(indices)
+
+    def _count(self, indices: VecEnvIndices) -> int:
+        if indices is None:
+            return self.num_envs
+        return 1 if isinstance(indices, int) else len(list(indices))
 
 
 def rows(infos: Mapping[str, Any], count: int) -> list[dict[str, Any]]:
