@@ -90,6 +90,19 @@ _TARGETS = {
     "TrainSettings": "gctd3.training.settings",
     "UniformCommand": "gctd3.tasks.commands",
     "Velocity": "gctd3.tasks.features",
+    "CommandBase": "gctd3.tasks.velocity_features",
+    "CommandForward": "gctd3.tasks.velocity_features",
+    "GravityDirection": "gctd3.tasks.velocity_features",
+    "GravityUp": "gctd3.tasks.velocity_features",
+    "Gyroscope": "gctd3.tasks.velocity_features",
+    "HeadingForward": "gctd3.tasks.velocity_features",
+    "HeadingBase": "gctd3.tasks.velocity_features",
+    "LastAction": "gctd3.tasks.velocity_features",
+    "StandStill": "gctd3.tasks.velocity_terms",
+    "TrackVelocity": "gctd3.tasks.velocity_terms",
+    "TrackYawRate": "gctd3.tasks.velocity_terms",
+    "VelocityCommand": "gctd3.tasks.velocity_command",
+    "VelocitySettings": "gctd3.tasks.velocity",
     "ViewSettings": "gctd3.runs.settings",
     "WalkSettings": "gctd3.tasks.walk",
 }
@@ -103,6 +116,11 @@ with suppress(ModuleNotFoundError):
         id="gctd3/Biped-v0",
         entry_point="gctd3.envs.gym:BipedEnv",
         vector_entry_point="gctd3.envs.gym:BipedVectorEnv",
+    )
+    gymnasium.register(
+        id="gctd3/Velocity-v0",
+        entry_point="gctd3.envs.gym:VelocityEnv",
+        vector_entry_point="gctd3.envs.gym:VelocityVectorEnv",
     )
 
 

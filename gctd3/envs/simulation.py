@@ -98,7 +98,8 @@ class Simulation:
             sensors[i] = data.sensordata
         fresh = task.measure(self.state[robots, self._qpos], self.state[robots, self._qvel], sensors)
         self.now = self.now.put(robots, fresh)
-        self.memory = put_rows(self.memory, robots, task.begin(fresh, self.rng))
+        last = {name: self.memory[name][robots] for name in task.memory.lasting}
+        self.memory = put_rows(self.memory, robots, task.begin(fresh, self.rng, last))
 
     def step(self, action: np.ndarray) -> Outcome:
         """Take one control step of every robot; ``action [N, A]`` in [-1, 1] asks for :meth:`.Robot.desired_angles`.

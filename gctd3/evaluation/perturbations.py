@@ -119,12 +119,12 @@ def sensor_deviation(task: SimulatedTask, angle: float, velocity: float, length:
 
     Args:
         task: The task, whose nodes observe features.
-        angle: Standard deviation for angles (rad).
+        angle: Standard deviation for angles, and for the direction of gravity (rad).
         velocity: Standard deviation for angular velocities (rad/s).
         length: Standard deviation for the body's height and its lateral position (m).
         speed: Standard deviation for the body's velocities (m/s).
     """
-    errors = {"angle": angle, "angular velocity": velocity, "length": length, "velocity": speed}
+    errors = {"angle": angle, "direction": angle, "angular velocity": velocity, "length": length, "velocity": speed}
     return torch.from_numpy(task.table.deviations(errors).astype(np.float32))
 
 

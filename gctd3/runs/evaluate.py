@@ -43,7 +43,7 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
         check_able(run.setup.task, "robustness", run.directory)
     policy = run.policy()
     reward = settings.reward or run.settings.evaluation.reward
-    task = run.setup.task.with_reward(reward)
+    task = run.setup.task.evaluated(reward)
     env = build_env(task, run.settings.env.for_evaluation(settings.episodes, settings.threads), settings.seed)
     walks, dt = "film" in task.abilities, task.control_dt
     with made(folder):

@@ -46,7 +46,7 @@ class LoadedRun:
             RunError: If the task does not have the ability.
         """
         check_able(self.setup.task, ability, self.directory)
-        return self.setup.task.with_reward(reward or self.settings.evaluation.reward)
+        return self.setup.task.evaluated(reward or self.settings.evaluation.reward)
 
 
 def load_run(run: str | Path | None = None) -> LoadedRun:

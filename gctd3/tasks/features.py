@@ -18,9 +18,9 @@ from gctd3.robots.floating_base import EXTRA
 from gctd3.robots.nodes import foot_slots
 from gctd3.robots.robot import Robot
 from gctd3.tasks.measurement import Measurement
-from gctd3.tasks.terms import RobotFacts
+from gctd3.tasks.terms import Remembered, RobotFacts
 
-Quantity = Literal["angle", "angular velocity", "length", "velocity", "contact", "command"]
+Quantity = Literal["angle", "angular velocity", "length", "velocity", "contact", "command", "direction", "action"]
 QUANTITIES: tuple[str, ...] = get_args(Quantity)
 KINDS = ("root", "base", "joint", "ground")  # of nodes
 
@@ -81,6 +81,10 @@ class NodeFeature(ABC):
     @abstractmethod
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """Return the values, shape ``[*, nodes of the kind, numbers of a node]``."""
+
+    def remembers(self) -> tuple[Remembered, ...]:
+        """Return the arrays that the feature needs from step to step."""
+        return ()
 
     def mirror_places(self, robot: Robot, nodes: tuple[str, ...]) -> np.ndarray | None:
         """Return the source (node, number) of each number of the mirrored robot, shape ``[nodes, numbers, 2]``.

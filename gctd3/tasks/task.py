@@ -63,6 +63,13 @@ class Task(Protocol):
             ConfigError: If the task does not take it.
         """
 
+    def evaluated(self, reward: Reward) -> Task:
+        """Return the same task as policies are evaluated on it, under a reward.
+
+        Raises:
+            ConfigError: If the task does not take the reward.
+        """
+
 
 @dataclass(frozen=True)
 class TaskSettings(ABC):
