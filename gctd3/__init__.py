@@ -32,6 +32,7 @@ _HOME = {
 # Names of gctd3 for the ``_target_`` of a YAML. Configurations of runs hold these names, so they outlive moves.
 _TARGETS = {
     "ActionRate": "gctd3.tasks.motor_terms",
+    "DomainRandomisation": "gctd3.tasks.domain_randomisation",
     "Effort": "gctd3.tasks.motor_terms",
     "EndStops": "gctd3.tasks.motor_terms",
     "HomePose": "gctd3.tasks.motor_terms",

@@ -113,6 +113,18 @@ class FeatureTable:
                 sign[i, k] = 1.0 if one is None else one.sign
         return source.reshape(-1), sign.reshape(-1)
 
+    def encoders(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Locate the joints' angles: node, number and index among ``robot.joints`` of each, integers ``[K]``."""
+        names = {joint.name: i for i, joint in enumerate(self.robot.joints)}
+        found = [
+            (node, number, names[name])
+            for node, name in enumerate(self.graph.nodes)
+            for number, one in enumerate(self.readings[node])
+            if one is not None and one.quantity == "angle" and name in names
+        ]
+        node, number, joint = np.array(found, dtype=np.int64).reshape(-1, 3).T
+        return node, number, joint
+
     def deviations(self, errors: Mapping[str, float]) -> np.ndarray:
         """Return the standard deviation of each number's error in a frame, shape ``[N, F]``.
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from gctd3.errors import ConfigError
+from gctd3.tasks.domain_randomisation import Domain
 from gctd3.tasks.features import NodeFeature
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.term_checks import called, reading
@@ -25,15 +26,20 @@ class EpisodeMemory:
         terms: Terms and features whose arrays are remembered, by a name for messages.
         commands: Commands by name.
         facts: Facts of the robot.
+        domain: Differences between robots, if there are any.
 
     Raises:
         ConfigError: If two terms remember different arrays by one name.
     """
 
     def __init__(
-        self, terms: Mapping[str, Term | NodeFeature], commands: Mapping[str, Command], facts: RobotFacts
+        self,
+        terms: Mapping[str, Term | NodeFeature],
+        commands: Mapping[str, Command],
+        facts: RobotFacts,
+        domain: Domain | None = None,
     ) -> None:
-        self.commands, self.facts = commands, facts
+        self.commands, self.facts, self.domain = commands, facts, domain
         requests: dict[str, tuple[str, Remembered]] = {}
         for where, term in {**terms, **{f"task.commands.{name}": one for name, one in commands.items()}}.items():
             for one in called(where, term.remembers):
@@ -56,6 +62,8 @@ class EpisodeMemory:
                 memory[name] = np.asarray(called(self.asked[name], one.begin, now, self.facts))
         for name, command in self.commands.items():
             memory |= self._drawn(name, command, now.position.shape, rng, memory)
+        if self.domain is not None:
+            memory |= self.domain.begin(now.position.shape, _generator(rng))
         return memory
 
     def advance(self, step: Step, rng: Generator | None = None) -> Memory:
@@ -65,6 +73,8 @@ class EpisodeMemory:
         after |= {n: called(self.asked[n], one.update, before[n], step) for n, one in self.remembered.items()}
         for name, command in self.commands.items():
             after |= self._next(name, command, before, rng, after)
+        if self.domain is not None:
+            after |= self.domain.advance(before, step.action, _generator(rng))
         return after
 
     def check(self, first: Memory, step: Step) -> None:
@@ -118,3 +128,9 @@ class EpisodeMemory:
             key: np.where(over[..., None], fresh[key], before[key]),
             timer: np.where(over, fresh[timer], left),
         }
+
+
+def _generator(rng: Generator | None) -> Generator:
+    if rng is None:
+        raise ValueError("Differences between robots are drawn at random: begin and advance need a generator.")
+    return rng

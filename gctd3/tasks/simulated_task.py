@@ -17,6 +17,7 @@ from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.mirror_check import check_mirror
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
+from gctd3.tasks.domain_randomisation import NOISE, Domain, DomainRandomisation
 from gctd3.tasks.feature_table import FeatureTable
 from gctd3.tasks.features import NodeFeature, Sensed
 from gctd3.tasks.measurement import Measurement
@@ -41,6 +42,7 @@ class Composition(TaskSettings):
         randomisations: Randomisations of the start of an episode.
         commands: Commands to the robot.
         privileged: Features of the nodes that only critics observe, beside the clocks of the terminations.
+        domain_randomisation: Differences between robots in a training; ``None`` for none.
     """
 
     control_dt: float = 0.02
@@ -49,6 +51,7 @@ class Composition(TaskSettings):
     randomisations: Mapping[str, Any] = field(default_factory=dict)
     commands: Mapping[str, Any] = field(default_factory=dict)
     privileged: Mapping[str, Any] = field(default_factory=dict)
+    domain_randomisation: DomainRandomisation | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -127,7 +130,13 @@ class SimulatedTask:
         terms = {f"reward.terms.{name}": term for name, term in self.terms.items()}
         sensed: dict[str, Term | NodeFeature] = {f"task.features.{name}": one for name, one in features.items()}
         sensed |= {f"task.privileged.{name}": one for name, one in privileged.items()}
-        self.memory = EpisodeMemory({**terms, **ends, **sensed}, self.commands, self.facts)
+        asked = settings.domain_randomisation
+        servos = self.facts.servos.joints
+        self.domain = None if asked is None else Domain(asked, robot, self.table, servos, self.control_dt)
+        if self.domain is not None:
+            # Each robot of a batch has a model of its own there.
+            self.backends = ("batched",)
+        self.memory = EpisodeMemory({**terms, **ends, **sensed}, self.commands, self.facts, self.domain)
         self._base = robot.base
         standing = self._base.read(robot.standing_qpos, np.zeros(robot.model.nv))
         self._standing = {name: value for name, (value, _) in standing.items()}
@@ -240,7 +249,8 @@ class SimulatedTask:
 
     def node_features(self, now: Measurement, memory: Memory | None = None) -> np.ndarray:
         """Return the features of every node in one frame, ``float32 [*, N, F]``; see :class:`.FeatureTable`."""
-        return self.table(Sensed(now, memory or {}, self.facts))
+        nodes = self.table(Sensed(now, memory or {}, self.facts))
+        return nodes if memory is None or NOISE not in memory else nodes + memory[NOISE]
 
     def counters(self, memory: Memory, now: Measurement | None = None) -> np.ndarray:
         """Return what only critics observe, ``float32 [*, K]``.
@@ -348,9 +358,13 @@ class SimulatedTask:
         return type(self)(self.robot, reward, self.settings, self.graph)
 
     def evaluated(self, reward: Reward) -> SimulatedTask:
-        """Return the same task as policies are evaluated on it: under a reward, with commands without a curriculum."""
+        """Return the same task as policies are evaluated on it.
+
+        It is under a reward, with commands without a curriculum, and on the robot of the file.
+        """
         commands = {n: one if one is None else one.evaluated() for n, one in self.settings.commands.items()}
-        return type(self)(self.robot, reward, replace(self.settings, commands=commands), self.graph)
+        settings = replace(self.settings, commands=commands, domain_randomisation=None)
+        return type(self)(self.robot, reward, settings, self.graph)
 
     def with_commands(self, commands: Mapping[str, Command]) -> SimulatedTask:
         """Return the same task with other commands."""
