@@ -9,12 +9,16 @@ from gctd3.config.command_line import command
 
 
 def _task(config: DictConfig) -> None:
+    from gctd3.evaluation.command_grid import table as command_table
     from gctd3.evaluation.robustness import table as robustness_table
     from gctd3.runs.evaluate import (
+        COMMANDS,
+        COMMANDS_PICTURE,
         EVALUATION,
         ROBUSTNESS,
         ROBUSTNESS_PICTURE,
         TRACE,
+        command_run,
         evaluate_run,
         examine_run,
         table,
@@ -30,6 +34,9 @@ def _task(config: DictConfig) -> None:
         results = examine_run(settings, gait.get("stride_time") if isinstance(gait, dict) else None)
         print(f"\n{robustness_table(results)}")
         written += [ROBUSTNESS, ROBUSTNESS_PICTURE]
+    if settings.commands:
+        print(f"\n{command_table(command_run(settings))}")
+        written += [COMMANDS, COMMANDS_PICTURE]
     if settings.folder is not None:
         files = [settings.folder / name for name in written]
         print(f"\nWritten to {' and '.join(str(file) for file in files if file.is_file())}")

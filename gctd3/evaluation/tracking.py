@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gctd3.evaluation.episode import Episode
+from gctd3.evaluation.settings import SETTLE
 
-SETTLE = 1.0  # after a new command, which is not counted (s)
 ERRORS = ("error_forward", "error_side", "error_turn")  # m/s, m/s, rad/s
 
 

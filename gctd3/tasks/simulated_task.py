@@ -366,9 +366,13 @@ class SimulatedTask:
         settings = replace(self.settings, commands=commands, domain_randomisation=None)
         return type(self)(self.robot, reward, settings, self.graph)
 
-    def with_commands(self, commands: Mapping[str, Command]) -> SimulatedTask:
-        """Return the same task with other commands."""
-        return type(self)(self.robot, self.reward, replace(self.settings, commands=commands), self.graph)
+    def with_commands(self, commands: Mapping[str, Command], steps: int | None = None) -> SimulatedTask:
+        """Return the same task with other commands, and another time limit unless ``steps`` (control steps) is None."""
+        settings = replace(self.settings, commands=commands)
+        if steps is not None:
+            ends = {n: e for n, e in self.settings.terminations.items() if not isinstance(e, TimeLimit)}
+            settings = replace(settings, terminations={**ends, "time_limit": TimeLimit(steps)})
+        return type(self)(self.robot, self.reward, settings, self.graph)
 
     def on(self, robot: Robot) -> SimulatedTask:
         """Return the same task on a changed robot that has the same graph."""

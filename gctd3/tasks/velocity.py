@@ -13,7 +13,7 @@ from gctd3.tasks.randomisations import JointNoise
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.reward_terms import Ended, Living, Tilt
 from gctd3.tasks.simulated_task import Composition, SimulatedTask
-from gctd3.tasks.terminations import Fall, TimeLimit
+from gctd3.tasks.terminations import Fall, Survive
 from gctd3.tasks.terms import Command, Randomisation, RewardTerm, Termination
 from gctd3.tasks.velocity_command import NAME, VelocityCommand
 from gctd3.tasks.velocity_features import privileged_features, velocity_features
@@ -38,7 +38,7 @@ def velocity_terms() -> dict[str, RewardTerm]:
 
 
 def _terminations() -> dict[str, Termination]:
-    return {"fall": Fall(height=None, shanks=False), "time_limit": TimeLimit(EPISODE)}
+    return {"fall": Fall(height=None, shanks=False), "time_limit": Survive(EPISODE)}
 
 
 def _randomisations() -> dict[str, Randomisation]:
@@ -83,3 +83,4 @@ class VelocityTask(SimulatedTask):
     """Define the task of following a commanded velocity on a robot; see :class:`.SimulatedTask`."""
 
     name = "velocity"
+    abilities = SimulatedTask.abilities | {"commands"}
