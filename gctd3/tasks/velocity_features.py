@@ -120,7 +120,7 @@ class LastAction(NodeFeature):
 
 @dataclass(frozen=True)
 class CommandForward(NodeFeature):
-    """Know the commanded velocity forward (m/s) at the root."""
+    """Sense the commanded velocity forward (m/s) at the root."""
 
     kind: ClassVar[str] = "root"
 
@@ -135,7 +135,7 @@ class CommandForward(NodeFeature):
 
 @dataclass(frozen=True)
 class CommandBase(NodeFeature):
-    """Know the commanded velocity to the left (m/s) at the node ``side``, and the yaw rate (rad/s) at ``yaw``."""
+    """Sense the commanded velocity to the left (m/s) at the node ``side``, and the yaw rate (rad/s) at ``yaw``."""
 
     kind: ClassVar[str] = "base"
 
