@@ -156,11 +156,11 @@ class VelocityVectorEnv(BipedVectorEnv):
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Take one control step of every robot, or start a new episode where the last one ended."""
-        *rest, info = super().step(actions)
+        observation, reward, terminated, truncated, info = super().step(actions)
         simulation = self.simulation
         info["command"] = simulation.memory[VELOCITY].copy()
         info["moved"] = np.asarray(velocities(simulation.now, simulation.task.facts))
-        return (*rest, info)
+        return observation, reward, terminated, truncated, info
 
 
 class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):

@@ -41,9 +41,10 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     from gctd3.training.checkpoint import versions
 
     run, folder = load_run(settings.run), settings.folder
-    for asked, ability in ((settings.robustness, "robustness"), (settings.commands, "commands")):
-        if asked:
-            check_able(run.setup.task, ability, run.directory)
+    if settings.robustness:
+        check_able(run.setup.task, "robustness", run.directory)
+    if settings.commands:
+        check_able(run.setup.task, "commands", run.directory)
     policy = run.policy()
     reward = settings.reward or run.settings.evaluation.reward
     task = run.setup.task.evaluated(reward)

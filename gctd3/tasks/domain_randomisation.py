@@ -101,7 +101,7 @@ def build_models(robot: Robot, numbers: np.ndarray) -> list[mujoco.MjModel]:
     Raises:
         MemoryError: If there is not enough memory for so many.
     """
-    return [altered_model(robot, *map(float, row[:3]), centre_of_mass=row[3:]) for row in numbers]
+    return [altered_model(robot, float(m), float(f), float(g), np.array(shift)) for m, f, g, *shift in numbers]
 
 
 class Domain:
@@ -175,7 +175,8 @@ class Domain:
 
     def draw_push(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a push: change of velocity forward and to the left, shape ``[2]`` (m/s)."""
-        size, way = rng.uniform(*self.settings.pushes), rng.uniform(0.0, 2.0 * np.pi)
+        low, high = self.settings.pushes
+        size, way = rng.uniform(low, high), rng.uniform(0.0, 2.0 * np.pi)
         return np.array([size * np.cos(way), size * np.sin(way)])
 
     def _wait(self, shape: tuple[int, ...], rng: Generator) -> np.ndarray:

@@ -351,6 +351,10 @@ class SimulatedTask:
         truncated = any_of("truncates", True) & ~terminated
         return Outcome(terms, terminated, truncated, any_of("succeeds", True) & ~terminated, diverged)
 
+    def command_ranges(self) -> dict[str, tuple[float, float]]:
+        """Return the range of each number of the commands by the name of its reading; empty for a task without."""
+        return {}
+
     # Variants of the task.
 
     def with_reward(self, reward: Reward) -> SimulatedTask:

@@ -16,7 +16,7 @@ from gctd3.tasks.simulated_task import Composition, SimulatedTask
 from gctd3.tasks.terminations import Fall, Survive
 from gctd3.tasks.terms import Command, Randomisation, RewardTerm, Termination
 from gctd3.tasks.velocity_command import NAME, VelocityCommand
-from gctd3.tasks.velocity_features import privileged_features, velocity_features
+from gctd3.tasks.velocity_features import COMMANDS, privileged_features, velocity_features
 from gctd3.tasks.velocity_terms import StandStill, TrackVelocity, TrackYawRate
 
 EPISODE = 1000  # control steps
@@ -84,3 +84,9 @@ class VelocityTask(SimulatedTask):
 
     name = "velocity"
     abilities = SimulatedTask.abilities | {"commands"}
+
+    def command_ranges(self) -> dict[str, tuple[float, float]]:
+        """Return the range of each number of the command by the name of its reading (m/s, m/s, rad/s)."""
+        command, known = self.commands[NAME], {r.name for row in self.table.readings for r in row if r is not None}
+        ranges = zip(COMMANDS, command.box.tolist(), strict=True)
+        return {name: (low, high) for name, (low, high) in ranges if name in known}

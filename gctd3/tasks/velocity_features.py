@@ -19,6 +19,8 @@ from gctd3.tasks.motor_terms import LAST_ACTION
 from gctd3.tasks.terms import Remembered
 from gctd3.tasks.velocity_command import SWAY, VELOCITY, averaged, velocities
 
+# Names of the command's readings: forward, to the left, turning.
+COMMANDS = ("command_forward_m_s", "command_side_m_s", "command_turn_rad_s")
 Rows = list[list[Reading | None]]
 
 
@@ -126,7 +128,7 @@ class CommandForward(NodeFeature):
 
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> Rows:
         """Return the reading of the command."""
-        return [[Reading("command_forward_m_s", "commanded velocity along the body's heading", "command")]]
+        return [[Reading(COMMANDS[0], "commanded velocity along the body's heading", "command")]]
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """Return the command, shape ``[*, 1, 1]``."""
@@ -144,8 +146,8 @@ class CommandBase(NodeFeature):
         return _at_base(
             robot,
             {
-                "side": Reading("command_side_m_s", "commanded velocity to the left of the heading", "command", -1.0),
-                "yaw": Reading("command_turn_rad_s", "commanded yaw rate, to the left is positive", "command", -1.0),
+                "side": Reading(COMMANDS[1], "commanded velocity to the left of the heading", "command", -1.0),
+                "yaw": Reading(COMMANDS[2], "commanded yaw rate, to the left is positive", "command", -1.0),
             },
         )
 

@@ -56,7 +56,7 @@ def _over(
             places.setdefault((one["command"][x], one["command"][y]), []).append(found)
     if places:
         points, means = np.array(list(places)), np.array([np.mean(values) for values in places.values()])
-        ax.scatter(*points.T, c=means, cmap="viridis_r", marker="s", s=190, vmin=0.0)
+        ax.scatter(points[:, 0], points[:, 1], c=means, cmap="viridis_r", marker="s", s=190, vmin=0.0)
         for point, mean in zip(points, means, strict=True):
             ax.annotate(f"{mean:.2f}", tuple(point), ha="center", va="center", fontsize=6, color="white")
     ax.margins(0.15)

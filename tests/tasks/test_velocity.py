@@ -99,6 +99,8 @@ def test_features_stand_at_the_nodes_to_which_they_belong(quadruped):
     assert read(f"{root}_side") == ["command_side_m_s"]
     joint = quadruped.robot.joints[0].name
     assert read(joint) == [f"angle_{joint}_rad", f"velocity_{joint}_rad_s", f"action_{joint}"]
+    ranges = {"command_forward_m_s": (-0.5, 1.0), "command_side_m_s": (-0.4, 0.4), "command_turn_rad_s": (-0.8, 0.8)}
+    assert quadruped.command_ranges() == ranges
     assert quadruped.privileged is not None and quadruped.num_counters == 6
 
 
@@ -133,6 +135,7 @@ def test_a_robot_on_a_boom_is_asked_for_what_it_can_do():
     command = task.commands["velocity"]
     assert command.box.tolist() == [[-0.5, 1.0], [0.0, 0.0], [0.0, 0.0]]
     assert "track" in task.terms and "track_turn" not in task.terms
+    assert task.command_ranges() == {"command_forward_m_s": (-0.5, 1.0)}
     names = [one.name for row in task.table.readings for one in row if one is not None]
     assert "command_forward_m_s" in names and "command_turn_rad_s" not in names
 
