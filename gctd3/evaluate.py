@@ -14,16 +14,21 @@ if TYPE_CHECKING:
 
 def _task(config: DictConfig) -> None:
     from gctd3.config.build import build
+    from gctd3.evaluation.command_grid import table as command_table
     from gctd3.evaluation.robustness import table as robustness_table
     from gctd3.runs.evaluate import (
+        COMMANDS,
+        COMMANDS_PICTURE,
         EVALUATION,
         ROBUSTNESS,
         ROBUSTNESS_PICTURE,
         TRACE,
+        command_run,
         examine_run,
         measure_run,
         table,
         where_to_write,
+        write_commands,
         write_evaluation,
         write_robustness,
     )
@@ -45,6 +50,11 @@ def _task(config: DictConfig) -> None:
         print(f"\n{robustness_table(results)}", flush=True)
         write_robustness(folder, results)
         written += [ROBUSTNESS, ROBUSTNESS_PICTURE]
+    if settings.commands:
+        commanded = command_run(settings)
+        print(f"\n{command_table(commanded)}", flush=True)
+        write_commands(folder, commanded)
+        written += [COMMANDS, COMMANDS_PICTURE]
     if folder is not None:
         files = [folder / name for name in written]
         print(f"\nWritten to {' and '.join(shown(file) for file in files if file.is_file())}")
