@@ -139,7 +139,7 @@ class LiveWalk:
         return {axis: (float(low), float(high)) for axis, (low, high) in zip(self._axes, self._box, strict=True)}
 
     def steer(self, command: np.ndarray) -> None:
-        """Set the commanded velocity ``[3]`` (m/s, m/s, rad/s) from the next step on, within the ranges of the training."""
+        """Set the command ``[3]`` (m/s, m/s, rad/s) from the next step on, within the ranges of the training."""
         wanted = np.zeros(3)
         for axis, (low, high) in self.ranges.items():
             wanted[axis] = np.clip(command[axis], low, high)
