@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from gctd3.errors import ConfigError
 from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.motor_terms import ActionRate, Effort, EndStops
@@ -86,7 +88,12 @@ class VelocityTask(SimulatedTask):
     abilities = SimulatedTask.abilities | {"commands"}
 
     def command_ranges(self) -> dict[str, tuple[float, float]]:
-        """Return the range of each number of the command by the name of its reading (m/s, m/s, rad/s)."""
+        """Return the range of each number of the command by the name of its reading (m/s, m/s, rad/s).
+
+        It holds 0 if some commands are to stand.
+        """
         command, known = self.commands[NAME], {r.name for row in self.table.readings for r in row if r is not None}
-        ranges = zip(COMMANDS, command.box.tolist(), strict=True)
-        return {name: (low, high) for name, (low, high) in ranges if name in known}
+        box = command.box
+        if command.standing:
+            box = np.stack([np.minimum(box[:, 0], 0.0), np.maximum(box[:, 1], 0.0)], axis=-1)
+        return {name: (low, high) for name, (low, high) in zip(COMMANDS, box.tolist(), strict=True) if name in known}

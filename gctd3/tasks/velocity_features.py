@@ -44,7 +44,7 @@ class GravityUp(NodeFeature):
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> Rows:
         """Return the reading of the component."""
         meaning = "component of gravity's direction along the body's vertical, -1 when the body is upright"
-        return [[Reading("gravity_up", meaning, "direction")]]
+        return [[Reading("gravity_up", meaning, "direction", source="IMU orientation")]]
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """Return the component, shape ``[*, 1, 1]``."""
@@ -59,14 +59,13 @@ class GravityDirection(NodeFeature):
 
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> Rows:
         """Return the readings of the components, one a node."""
-        meaning = "component of gravity's direction {}, 0 when the body is upright"
-        return _at_base(
-            robot,
-            {
-                "pitch": Reading("gravity_forward", meaning.format("along the body's forward axis"), "direction"),
-                "roll": Reading("gravity_side", meaning.format("along the body's axis to the left"), "direction", -1.0),
-            },
-        )
+        axes = {"pitch": ("forward", "forward axis", 1.0), "roll": ("side", "axis to the left", -1.0)}
+        meaning = "component of gravity's direction along the body's {}, 0 when the body is upright"
+        readings = {
+            node: Reading(f"gravity_{axis}", meaning.format(words), "direction", sign, source="IMU orientation")
+            for node, (axis, words, sign) in axes.items()
+        }
+        return _at_base(robot, readings)
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """Return the components, shape ``[*, nodes, 1]``."""
@@ -85,7 +84,9 @@ class Gyroscope(NodeFeature):
         """Return the readings of the rates, one a node."""
         meaning = "{} rate of the root body, as a gyroscope on it measures it"
         rates = {
-            axis: Reading(f"{axis}_rate_rad_s", meaning.format(axis), "angular velocity", EXTRA[axis])
+            axis: Reading(
+                f"{axis}_rate_rad_s", meaning.format(axis), "angular velocity", EXTRA[axis], source="IMU gyroscope"
+            )
             for axis in self.AXES
         }
         return _at_base(robot, rates)
@@ -110,7 +111,10 @@ class LastAction(NodeFeature):
         """Return the readings of the actions, one a node; a joint that no servo drives has none."""
         signs = dict(zip(robot.actuated, robot.action_mirror[1], strict=True))
         meaning = "the policy's last action for this joint, in [-1, 1]; 0 at the start"
-        return [[Reading(f"action_{n}", meaning, "action", float(signs[n])) if n in signs else None] for n in nodes]
+        return [
+            [Reading(f"action_{n}", meaning, "action", float(signs[n]), source="last action") if n in signs else None]
+            for n in nodes
+        ]
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """Return the last action, shape ``[*, nodes, 1]``."""
@@ -128,7 +132,7 @@ class CommandForward(NodeFeature):
 
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> Rows:
         """Return the reading of the command."""
-        return [[Reading(COMMANDS[0], "commanded velocity along the body's heading", "command")]]
+        return [[Reading(COMMANDS[0], "commanded velocity along the body's heading", "command", source="command")]]
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """Return the command, shape ``[*, 1, 1]``."""
@@ -143,13 +147,15 @@ class CommandBase(NodeFeature):
 
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> Rows:
         """Return the readings of the command, one a node."""
-        return _at_base(
-            robot,
-            {
-                "side": Reading(COMMANDS[1], "commanded velocity to the left of the heading", "command", -1.0),
-                "yaw": Reading(COMMANDS[2], "commanded yaw rate, to the left is positive", "command", -1.0),
-            },
-        )
+        meanings = {
+            "side": (COMMANDS[1], "commanded velocity to the left of the heading"),
+            "yaw": (COMMANDS[2], "commanded yaw rate, to the left is positive"),
+        }
+        readings = {
+            node: Reading(name, meaning, "command", -1.0, source="command")
+            for node, (name, meaning) in meanings.items()
+        }
+        return _at_base(robot, readings)
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """Return the command, shape ``[*, nodes, 1]``."""
@@ -176,7 +182,8 @@ class HeadingForward(NodeFeature):
     def readings(self, robot: Robot, nodes: tuple[str, ...]) -> Rows:
         """Return the reading of the velocity."""
         meaning = f"velocity of the root body along its heading{_over(self.time)}"
-        return [[Reading(f"heading_forward{_named(self.time)}_m_s", meaning, "velocity")]]
+        name = f"heading_forward{_named(self.time)}_m_s"
+        return [[Reading(name, meaning, "velocity", source="state estimator")]]
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """Return the velocity, shape ``[*, 1, 1]``."""
@@ -203,10 +210,12 @@ class HeadingBase(NodeFeature):
         """Return the readings of the velocities, one a node."""
         name, over = _named(self.time), _over(self.time)
         side = f"velocity of the root body to the left of its heading{over}"
-        readings = {"side": Reading(f"heading_side{name}_m_s", side, "velocity", EXTRA["side"])}
+        readings = {
+            "side": Reading(f"heading_side{name}_m_s", side, "velocity", EXTRA["side"], source="state estimator")
+        }
         if self.time:
-            yaw = f"yaw rate of the root body{over}"
-            readings["yaw"] = Reading(f"heading_turn{name}_rad_s", yaw, "angular velocity", EXTRA["yaw"])
+            yaw, rate = f"yaw rate of the root body{over}", f"heading_turn{name}_rad_s"
+            readings["yaw"] = Reading(rate, yaw, "angular velocity", EXTRA["yaw"], source="IMU gyroscope")
         return _at_base(robot, readings)
 
     def __call__(self, sensed: Sensed) -> np.ndarray:

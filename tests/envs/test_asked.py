@@ -100,7 +100,7 @@ def test_every_way_to_an_environment_takes_the_options(option):
     serial = gctd3.make_env(num_envs=1, backend="dm_control", **given)
     suite = dmc.load("biped", random=0, **given).task.task
     vector = gymnasium.make_vec(BIPED, num_envs=2, **given).unwrapped.simulation.task
-    single = gymnasium.make(BIPED, **given).unwrapped
+    single = gymnasium.make(BIPED, observation="nodes", **given).unwrapped
     tasks = [batched.base_env.simulation.task, suite, vector, single._one.simulation.task]
     for task in tasks:
         assert task.settings == wanted.settings and task.robot.feet == wanted.robot.feet

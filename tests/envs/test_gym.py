@@ -143,7 +143,7 @@ def test_robots_are_those_of_the_commands():
 @pytest.mark.parametrize(
     ("arguments", "error", "said"),
     [
-        ({"robot": "quadrupet"}, ConfigError, "quadrupet"),
+        ({"robot": "quadrupet"}, RobotError, "quadrupet"),
         ({"overrides": ["task.commands.velocity.forward=[1,0]"]}, ConfigError, r"forward must be \[lowest, highest\]"),
         ({"overrides": ["task.commands.velocity.fast=1"]}, ConfigError, "fast"),
         ({"robot": "nowhere.xml"}, RobotError, "nowhere.xml"),

@@ -40,16 +40,18 @@ def test_a_command_is_observed_and_holds(walk):
 def test_sliders_and_keys(walk):
     viser = pytest.importorskip("viser")
     pytest.importorskip("mjviser")
+    from gctd3.viz.browser_messages import Gate
     from gctd3.viz.command_panel import add_command_controls, commanded
 
     server = viser.ViserServer(port=0, verbose=False)
-    wishes = {}
+    wishes, handles = {}, {}
 
     def slider(name, between, step, value, hint):
         return server.gui.add_slider(name, min=between[0], max=between[1], step=step, initial_value=value, hint=hint)
 
     def on(register, wish):
         wishes.setdefault(getattr(register.__self__, "label", ""), []).append(wish)
+        handles[getattr(register.__self__, "label", "")] = register.__self__
         register(lambda event: wish())
 
     try:
@@ -68,6 +70,16 @@ def test_sliders_and_keys(walk):
         ):
             wishes[label][0]()
             np.testing.assert_allclose(walk.step().command, expected, atol=1e-9, err_msg=label)
+        # A browser may press these keys, and may set the sliders within their ranges.
+        gate = Gate({"key": handles["Forward, more"], "slider": handles["Forward, m/s"]}.get)
+        press, value = {"type": "CommandTriggerMessage", "uuid": "key"}, {"type": "GuiUpdateMessage", "uuid": "slider"}
+        assert gate.is_key(press) and gate.is_value({**value, "updates": {"value": -0.5}})
+        for lie in ({"uuid": "slider"}, {"uuid": "nobody"}, {"uuid": 1}, {"more": 1}, {"type": "GuiUpdateMessage"}):
+            assert not gate.is_key({**press, **lie}), lie
+        assert not gate.is_key({"type": "CommandTriggerMessage"})
+        for lie in (-0.51, 1.01, np.nan, "0", None, True, [0.0]):
+            assert not gate.is_value({**value, "updates": {"value": lie}}), lie
+        assert not gate.is_value({**value, "uuid": "key", "updates": {"value": 1.0}})
         rows = commanded(walk.now)
         assert rows[0][0] == ("command", "-0.15 m/s, -0.08 m/s, +0.16 rad/s") and rows[1][0][0] == "follows"
         wishes["Stand still"][0]()
