@@ -57,7 +57,7 @@ def check_dm_control(what: str) -> None:
 
 
 def why_no_mujoco(error: BaseException) -> str | None:
-    """Explain an error that mujoco raised while it was imported; ``None`` for any other.
+    """Describe an error that mujoco raised while it was imported; ``None`` for any other.
 
     pip upgrades mujoco 3 to 4 in place and reports success, but leaves out what the two have in common.
     """

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Imitation:
-    """Pull an actor towards the actions of a controller.
+    """Train an actor to act as a controller does.
 
     Args:
         settings: How long, and how strongly.

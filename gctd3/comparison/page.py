@@ -51,11 +51,12 @@ td.number { white-space: nowrap; } td.long { min-width: 11rem; }
 @media (max-width: 40rem) { td:first-child.meant { min-width: 9.5rem; }
   /* Comparisons: on a phone a block for each, with the names of its numbers, in place of a table that scrolls. */
   .lines thead { display: none; } .lines table, .lines tbody { display: block; }
-  .lines tr { display: grid; grid-template-columns: 1.25fr 1.1fr 0.8fr; gap: 0 0.4rem; padding: 0.5rem 0.6rem;
+  .lines tr { display: grid; padding: 0.5rem 0.6rem; gap: 0 0.4rem;
+    grid-template-columns: minmax(0, 1.25fr) minmax(0, 1.1fr) minmax(0, 0.8fr);
     border-bottom: 1px solid var(--line); }
   .lines td, .lines td:first-child.meant { min-width: 0; padding: 0.15rem 0; border: 0; position: static; }
   .lines td:first-child, .lines td.long { grid-column: 1 / -1; } .lines td:first-child { font-weight: 600; }
-  .lines small { font-weight: 400; white-space: normal; }
+  .lines small { font-weight: 400; } .lines td.number { white-space: normal; }
   .lines td.number::before { content: attr(data-name); display: block; color: var(--soft); font-size: 0.75rem; } }
 """
 # Sections that are folded: what they hold is looked up, not read.

@@ -43,6 +43,7 @@ PAPER = {
 # Columns that a page does not treat as numbers.
 UNIT, MEANING, OUTCOME, DIRECTORY, FINDING = "unit", "what it is", "outcome", "directory", "verdict"
 FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")  # beginnings of what a spreadsheet computes
+SEPARATED = r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?"  # a number with separators of thousands
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,10 @@ def _plain(cell: str) -> str:
     """Return a cell of a CSV file: a number that programs read, or a text that nothing computes."""
     if cell == "-":
         return ""
-    is_number = re.fullmatch(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?", cell) is not None
-    return f"'{cell}" if cell.startswith(FORMULA) and not is_number else str(cell)
+    number = cell.replace(",", "") if re.fullmatch(SEPARATED, cell) else cell
+    if re.fullmatch(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?", number):
+        return number
+    return f"'{cell}" if cell.startswith(FORMULA) else str(cell)
 
 
 def table5(groups: Mapping[str, Sequence[Run]], robot: Robot | None, is_biped: bool) -> Table:

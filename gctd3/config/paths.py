@@ -16,7 +16,7 @@ _QUOTED = re.compile(r"'(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\"", re.DOTALL)
 
 
 def literal_paths(arguments: Sequence[str]) -> list[str]:
-    """Quote the paths among arguments for Hydra; those that are quoted already stay as they are.
+    """Write the paths among arguments in quotes for Hydra; those that are quoted already stay as they are.
 
     In a sweep a comma separates several values, unless there is a file or a directory of that very name.
     """

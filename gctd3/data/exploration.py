@@ -177,7 +177,9 @@ class Explorer(TensorDictModuleBase):
         if settings.warmup == "rhythmic":
             self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, settings.mutation_share)
         elif stepping:
-            self.rhythm = Stepping(robot, robots, settings.gait_time, control_dt, settings.mutation_share, gait)
+            steps = settings.learning_starts // num_robots
+            share = settings.mutation_share
+            self.rhythm = Stepping(robot, robots, settings.gait_time, control_dt, share, gait, steps)
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)

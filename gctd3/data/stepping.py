@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -37,6 +36,7 @@ class Stepping(torch.nn.Module):
         control_dt: Control period (s).
         mutation_share: Share of new gaits that descend from others.
         gait: Frequency and phases of the feet of all gaits; they evolve if ``None``.
+        steps: Control steps of the warm-up; ``None`` for one without an end.
 
     Raises:
         ConfigError: If no foot has a driven joint of its own.
@@ -51,6 +51,8 @@ class Stepping(torch.nn.Module):
     start: Tensor
     last: Tensor
     age: Tensor
+    again: Tensor
+    taken: Tensor
 
     # Lowest and highest value of each gene, and whether each pair of feet has its own.
     GENES: dict[str, tuple[float, float, bool]] = {  # noqa: RUF012 - a constant
@@ -69,7 +71,8 @@ class Stepping(torch.nn.Module):
     RIVALS = 4  # robots of whom the fittest one is the parent
     FALL = 0.5  # leg lengths by which a fall lowers the fitness, for each second of a trial
     FROUDE = 0.3  # of a speed beyond which a gait is not fitter: v^2 / (g L)
-    FORGET = 0.02  # of a remembered fitness that is lost with each trial, so that luck does not stay
+    AGAIN = 0.15  # share of trials in which a robot tries its remembered gait again; luck does not stay
+    LAST_ROUND = 0.3  # share of the warm-up, at its end, in which robots try what they remember and nothing else
     NOISE = 0.1  # standard deviation of what is added to the actions
     DAMPING = 0.05  # of the pseudo-inverse, leg lengths
 
@@ -81,11 +84,13 @@ class Stepping(torch.nn.Module):
         control_dt: float,
         mutation_share: float = 0.8,
         gait: GaitPattern | None = None,
+        steps: int | None = None,
     ) -> None:
         super().__init__()
         self._length = robot.leg_length
         self._dt, self._share = control_dt, mutation_share
         self._steps = max(round(trial / control_dt), 1)
+        self._last_round = math.inf if steps is None else (1.0 - self.LAST_ROUND) * steps
         self._penalty = self.FALL * self._length * trial
         self._enough = math.sqrt(self.FROUDE * GRAVITY * self._length) * trial
         self._pendulum = math.sqrt(GRAVITY / self._length) / (2 * math.pi)
@@ -94,7 +99,13 @@ class Stepping(torch.nn.Module):
         self.register_buffer("lagging", lag, persistent=False)
         self.register_buffer("joints", _joint_paths(robot, self.DAMPING * self._length), persistent=False)
         self.groups = int(group.max()) + 1
-        self._fixed = {} if gait is None else _fixed_genes(gait, robot.foot_pairs, self._pendulum)
+        self._fixed: dict[str, Tensor] = {}
+        if gait is not None:
+            # Of a robot whose feet are no mirror images, each foot has the phase that the gait gives it.
+            phases = torch.from_numpy(gait.phases).float()
+            firsts = phases[[int((group == pair).nonzero()[0]) for pair in range(self.groups)]]
+            self.lagging = phases - firsts[group]
+            self._fixed = {"frequency": torch.tensor(gait.frequency / self._pendulum), "phase": firsts}
         for name, values in self._draw(num_robots).items():
             self.register_buffer(name, values)
             self.register_buffer(f"best_{name}", values.clone())
@@ -102,6 +113,8 @@ class Stepping(torch.nn.Module):
         self.register_buffer("cycles", torch.zeros(num_robots))
         self.register_buffer("start", torch.zeros(num_robots))
         self.register_buffer("last", torch.zeros(num_robots))
+        self.register_buffer("taken", torch.zeros((), dtype=torch.int64))
+        self.register_buffer("again", torch.zeros(num_robots, dtype=torch.bool))
         # No trial has begun.
         self.register_buffer("age", torch.full((num_robots,), -1, dtype=torch.int64))
 
@@ -131,14 +144,20 @@ class Stepping(torch.nn.Module):
         """Remember the gaits of the trials that have ended if they are fitter, and begin new ones."""
         tried = ended & (self.age > 0)
         fitness = (self.last - self.start).clamp(max=self._enough) - self._penalty * fell
-        self.fitness.copy_(torch.where(tried, self.fitness - self.FORGET * self.fitness.abs(), self.fitness))
-        fitter = tried & (fitness > self.fitness)
+        # Of a gait that was tried again the mean counts, in which the last trials weigh most.
+        again = tried & self.again
+        self.fitness.copy_(torch.where(again, 0.5 * (self.fitness + fitness), self.fitness))
+        fitter = tried & ~again & (fitness > self.fitness)
         self.fitness.copy_(torch.where(fitter, fitness, self.fitness))
         children = self._children(len(ended))
+        share = 1.0 if int(self.taken) >= self._last_round else self.AGAIN
+        repeats = (torch.rand(len(ended)) < share) & self.fitness.isfinite()
+        self.again.copy_(torch.where(ended, repeats, self.again))
         for name, (_, _, paired) in self.GENES.items():
             best, now = getattr(self, f"best_{name}"), getattr(self, name)
             best.copy_(torch.where(fitter[:, None] if paired else fitter, now, best))
-            now.copy_(torch.where(ended[:, None] if paired else ended, children[name], now))
+            next_one = torch.where(repeats[:, None] if paired else repeats, best, children[name])
+            now.copy_(torch.where(ended[:, None] if paired else ended, next_one, now))
 
     def forward(self, is_init: Tensor, position: Tensor) -> Tensor:
         """Return the actions ``[robots, A]`` of the next step.
@@ -156,6 +175,7 @@ class Stepping(torch.nn.Module):
             self.cycles.copy_(torch.where(is_init, 0.0, self.cycles))
         self.last.copy_(position)
         self.age += 1
+        self.taken += 1
         self.cycles += self._dt * self._pendulum * self.frequency
         action = self._act({name: getattr(self, name) for name in self.GENES}, self.cycles)
         return (action + self.NOISE * torch.randn_like(action)).clamp(-1.0, 1.0)
@@ -231,12 +251,6 @@ def _groups(robot: Robot) -> tuple[Tensor, Tensor]:
             lag[other] = 0.5 if other != foot else 0.0
             count += 1
     return torch.tensor(group), torch.tensor(lag)
-
-
-def _fixed_genes(gait: GaitPattern, pairs: Sequence[Sequence[int]], pendulum: float) -> dict[str, Tensor]:
-    """Return the genes that a gait determines: its frequency, and the phase of the first foot of each pair."""
-    phases = torch.from_numpy(gait.phases[[pair[0] for pair in pairs]]).float()
-    return {"frequency": torch.tensor(gait.frequency / pendulum), "phase": phases}
 
 
 def _joint_paths(robot: Robot, damping: float) -> Tensor:

@@ -17,11 +17,8 @@ import mujoco
 import numpy as np
 
 from gctd3.robots.mjcf import joint_name
+from gctd3.robots.rounding import CUT, matrices, positive, rounded, turns
 
-DIGITS = 9
-# Where a row's numbers are cut. Written numbers are short decimals, which are far from it, so that a last bit that
-# differs does not change the result.
-_CUT = 0.3183098861837907
 _TYPES = mujoco.mjtGeom
 _ROUND = (int(_TYPES.mjGEOM_SPHERE), int(_TYPES.mjGEOM_CAPSULE), int(_TYPES.mjGEOM_CYLINDER), int(_TYPES.mjGEOM_PLANE))
 _MESHES = (int(_TYPES.mjGEOM_MESH), int(_TYPES.mjGEOM_SDF))
@@ -67,27 +64,6 @@ def _digest(fields: Iterator[Field]) -> str:
     return digest.hexdigest()
 
 
-def rounded(values: np.ndarray, digits: int = DIGITS) -> tuple[np.ndarray, np.ndarray]:
-    """Round each row to ``digits`` digits of its largest number.
-
-    Args:
-        values: Shape ``[*]`` or ``[*, K]``; each number of a shape ``[n]`` is a row of its own.
-        digits: Number of digits.
-
-    Returns:
-        The power of ten of each row's last digit, and the numbers in units of it, whole.
-    """
-    rows = np.asarray(values, dtype=np.float64)
-    rows = rows[..., None] if rows.ndim < 2 else rows
-    rows = np.where(np.isfinite(rows), rows, np.sign(np.nan_to_num(rows)) * 1e300)
-    largest = np.abs(rows).max(axis=-1, initial=0.0, keepdims=True)
-    # A largest number of 0.9999999999 is 1 with an error of rounding.
-    safe = np.where(largest > 1e-290, largest * (1 + 1e-12), 1.0)
-    exponents = np.floor(np.log10(safe)).astype(np.int64) - digits + 1
-    whole = np.floor(rows / 10.0 ** exponents.astype(np.float64) + _CUT).astype(np.int64)
-    return np.where(largest > 1e-290, exponents, 0), whole
-
-
 # Parts of the model.
 
 
@@ -112,7 +88,7 @@ def _options(model: mujoco.MjModel) -> Iterator[Field]:
 def _bodies(model: mujoco.MjModel) -> Iterator[Field]:
     yield "parent", model.body_parentid
     yield "place", model.body_pos
-    yield "turn", _turns(model.body_quat)
+    yield "turn", turns(model.body_quat)
     yield "mocap", model.body_mocapid >= 0
 
 
@@ -120,7 +96,7 @@ def _masses(model: mujoco.MjModel) -> Iterator[Field]:
     yield "mass", model.body_mass
     yield "centre", model.body_ipos
     # The tensor in the body's frame: principal axes are not unique.
-    axes = _matrices(model.body_iquat)
+    axes = matrices(model.body_iquat)
     tensors = np.einsum("bij,bj,bkj->bik", axes, model.body_inertia, axes)
     yield "inertia", tensors[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     yield "gravity_compensation", model.body_gravcomp
@@ -162,13 +138,13 @@ def _geoms(model: mujoco.MjModel) -> Iterator[Field]:
     yield "kind", kinds
     yield "body", model.geom_bodyid[solid]
     yield "place", model.geom_pos[solid]
-    turns = _turns(model.geom_quat[solid])
+    whole = turns(model.geom_quat[solid])
     # Of bodies of revolution only the axis counts, in either direction unless it is a plane's normal.
-    axes = _matrices(model.geom_quat[solid])[:, :, 2]
-    axes = np.where((kinds == int(_TYPES.mjGEOM_PLANE))[:, None], axes, _positive(axes))
+    axes = matrices(model.geom_quat[solid])[:, :, 2]
+    axes = np.where((kinds == int(_TYPES.mjGEOM_PLANE))[:, None], axes, positive(axes))
     axes = np.concatenate([axes, np.zeros((len(solid), 1))], axis=1)
     spheres = (kinds == int(_TYPES.mjGEOM_SPHERE))[:, None]
-    yield "turn", np.where(spheres, 0.0, np.where(np.isin(kinds, _ROUND)[:, None], axes, turns))
+    yield "turn", np.where(spheres, 0.0, np.where(np.isin(kinds, _ROUND)[:, None], axes, whole))
     used = np.array([[1, 1, 1]] * len(solid), dtype=np.float64).reshape(-1, 3)
     for kind, count in ((_TYPES.mjGEOM_SPHERE, 1), (_TYPES.mjGEOM_CAPSULE, 2), (_TYPES.mjGEOM_CYLINDER, 2)):
         used[kinds == int(kind), count:] = 0
@@ -314,7 +290,7 @@ def _referred(model: mujoco.MjModel, name: str, objects: Sequence[tuple[int, int
             body, place, turn = (getattr(model, f"{of}_{what}")[number] for what in ("bodyid", "pos", "quat"))
             yield "body", int(body)
             yield "place", place[None]
-            yield "turn", _turns(turn[None])
+            yield "turn", turns(turn[None])
             if of == "geom":
                 yield "size", model.geom_size[number][None]
 
@@ -343,33 +319,13 @@ def _form(model: mujoco.MjModel, geom: int) -> bytes:
         points = model.mesh_vert[start : start + count].astype("<f4")
         # Single precision: a scale that is spelled in another way moves its last digit.
         scale = 10.0 ** (math.floor(math.log10(max(float(np.abs(points).max(initial=0.0)), 1e-30))) - 4)
-        whole = np.floor(points.astype(np.float64) / scale + _CUT).astype("<i8")
+        whole = np.floor(points.astype(np.float64) / scale + CUT).astype("<i8")
         return whole.tobytes() + model.mesh_face[first : first + faces].astype("<i8").tobytes()
     if kind == int(_TYPES.mjGEOM_HFIELD):
         start = int(model.hfield_adr[number])
         rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
-        heights = np.floor(model.hfield_data[start : start + rows * columns].astype(np.float64) * 1e6 + _CUT)
+        heights = np.floor(model.hfield_data[start : start + rows * columns].astype(np.float64) * 1e6 + CUT)
         exponents, whole = rounded(model.hfield_size[number][None])
         shape = np.array([rows, columns], dtype="<i8")
         return b"".join(a.astype("<i8").tobytes() for a in (shape, exponents, whole, heights))
     return b""
-
-
-def _turns(quaternions: np.ndarray) -> np.ndarray:
-    """Return quaternions with the sign that makes the first component that counts positive. Shape ``[n, 4]``."""
-    return _positive(np.asarray(quaternions, dtype=np.float64))
-
-
-def _positive(rows: np.ndarray) -> np.ndarray:
-    counting = np.abs(rows) > 1e-6
-    first = np.argmax(counting, axis=-1)
-    signs = np.sign(np.take_along_axis(rows, first[:, None], axis=-1))
-    return np.asarray(rows * np.where(signs == 0, 1.0, signs))
-
-
-def _matrices(quaternions: np.ndarray) -> np.ndarray:
-    """Return the rotation matrices of quaternions ``[n, 4]``. Shape ``[n, 3, 3]``."""
-    matrices = np.zeros((len(quaternions), 9))
-    for matrix, quaternion in zip(matrices, np.asarray(quaternions, dtype=np.float64), strict=True):
-        mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrices.reshape(-1, 3, 3)

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
+from gctd3.files import checksum
 from gctd3.robots.physics import solid_geoms
 
 # Settings of the compiler that act on what is compiled already, or say where files are.
@@ -182,8 +183,8 @@ class _Writing:
     def _take(self, element: ElementTree.Element, file: str) -> None:
         """Let an element name its file as the run keeps it."""
         path = self._place(file)
-        taken = next((name for name, other in self.assets.items() if other == path), None)
-        name = taken or f"{len(self.assets)}_{path.name}"
+        # Named by its content: of two of one name MuJoCo gives a process the first for both (findings/).
+        name = f"{checksum(path)[:12]}_{path.name}"
         self.assets[name] = path
         element.set("file", name)
 

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from gctd3.evaluation.quantities import quantity
 from gctd3.evaluation.robustness import Examination
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize, why_missing
-from gctd3.files import made, new_file, unwritable, write_text
+from gctd3.files import made, new_file, shown, unwritable, write_text
 from gctd3.progress import StatusLine
 from gctd3.robots.robot import Robot
 from gctd3.runs.settings import EvaluateSettings
@@ -67,6 +67,18 @@ def where_to_write(settings: EvaluateSettings) -> tuple[Path | None, str | None]
     if settings.out is not None:
         raise RunError(f"out={settings.out} cannot be written to: {reason}.")
     return None, f"Nothing is written to {folder}: {reason}. out=DIR writes elsewhere."
+
+
+def where_written(folder: Path | None, names: Sequence[str]) -> str:
+    """Return a line that tells where the files of an evaluation were written.
+
+    Args:
+        folder: Folder of the files; ``None`` if nothing was written.
+        names: Names of the files, which need not all be there.
+    """
+    if folder is None:
+        return "Nothing is written for the policy that ships with gctd3: out=DIR writes, and run=DIR to that run."
+    return f"Written to {' and '.join(shown(folder / name) for name in names if (folder / name).is_file())}"
 
 
 def write_evaluation(folder: Path | None, report: Mapping[str, object], motion: str | None) -> None:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from tensordict import TensorDictBase
 
 from gctd3.errors import check_between
+
+if TYPE_CHECKING:
+    import torch
+    from tensordict import TensorDictBase
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ DIVERGED, SHORT, EQUAL = "diverged", "short", "equal"
 
 
 class Watch:
-    """Judge the first batches of a training.
+    """Check the first batches of a training.
 
     Args:
         settings: The signs.

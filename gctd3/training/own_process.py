@@ -5,92 +5,102 @@ joblib gives up all runs when one of its processes is killed, so those only wait
 
 from __future__ import annotations
 
-import os
+import multiprocessing
 import signal
-import subprocess
-import sys
-import tempfile
 import threading
-import time
 import traceback
 from collections.abc import Callable
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from hydra import initialize_config_module
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.utils import setup_globals
+from omegaconf import DictConfig, OmegaConf
+
+from gctd3.config.help import CONF
 from gctd3.errors import GCTD3Error, RunError
 
 _EXPECTED = (GCTD3Error, OSError, MemoryError)  # errors of which the message says enough
 
 
-def in_own_process(function: Callable[[Any], Any], config: Any, run: Path, on_orphaned: tuple[Path, float]) -> Any:  # noqa: ANN401 - what the function takes and returns
+def in_own_process(function: Callable[[Any], Any], config: Any, run: Path, lost: Path) -> Any:  # noqa: ANN401
     """Call a function of Hydra's configuration in a new process, and return what it returns.
 
     Args:
         function: A function that can be imported by its name.
         config: Its argument.
         run: Directory of the run.
-        on_orphaned: File to which the new process adds ``run`` before it ends if this one is killed, and the time
-            between looks whether it is (s).
+        lost: File to which the new process adds ``run`` if this one is killed, before it ends too.
 
     Raises:
         RunError: If the new process was killed.
         Exception: What the function raised.
     """
-    import cloudpickle
-    from hydra.core.singleton import Singleton
-
-    with tempfile.TemporaryDirectory(prefix="gctd3-run-") as folder:
-        task, outcome = Path(folder) / "task", Path(folder) / "outcome"
-        content = (Singleton.get_state(), function, config, str(run), on_orphaned, os.getpid())
-        # Where modules are found comes first: the rest may need them.
-        task.write_bytes(cloudpickle.dumps((sys.path, cloudpickle.dumps(content))))
-        call = [sys.executable, "-m", __name__, str(task), str(outcome)]
-        code = subprocess.call(call)
-        if outcome.is_file():
-            returned, value = cloudpickle.loads(outcome.read_bytes())
-            if returned:
-                return value
-            raise value
-    if code < 0:
-        name = signal.Signals(-code).name
-        perhaps = ", perhaps for lack of memory" if name == "SIGKILL" else ""
-        raise RunError(f"Its process was killed by {name}{perhaps}. It goes on from its last checkpoint.")
-    raise RunError(f"Its process ended with exit code {code}.")
+    # joblib's processes have a method of their own, which the new one would look for.
+    multiprocessing.set_start_method("spawn", force=True)
+    context = multiprocessing.get_context("spawn")
+    answers, answer = context.Pipe(duplex=False)
+    process = context.Process(target=_call, args=(answer, _hydra(), function, config, str(run), lost))
+    process.start()
+    # Only the new process has it now: when that ends, nothing more can come.
+    answer.close()
+    try:
+        returned, value = answers.recv()
+    except EOFError:
+        process.join()
+        raise RunError(_ended(process.exitcode or 0)) from None
+    process.join()
+    if returned:
+        return value
+    raise value
 
 
-def _main(task: Path, outcome: Path) -> None:
-    import cloudpickle
-    from hydra.core.singleton import Singleton
-    from hydra.core.utils import setup_globals
+def _hydra() -> DictConfig:
+    """Return Hydra's configuration of this run; the time in the sweep's directory is that of its beginning."""
+    config = HydraConfig.instance().cfg
+    # Plain, without the classes of plug-ins, which cannot be sent.
+    plain: Any = OmegaConf.create(OmegaConf.to_container(config))
+    plain.hydra.sweep.dir = str(config.hydra.sweep.dir)
+    hydra: DictConfig = plain
+    return hydra
 
+
+def _ended(code: int) -> str:
+    if code >= 0:
+        return f"Its process ended with exit code {code}."
+    name = signal.Signals(-code).name
+    perhaps = ", perhaps for lack of memory" if name == "SIGKILL" else ""
+    return f"Its process was killed by {name}{perhaps}. It goes on from its last checkpoint."
+
+
+def _call(
+    answer: Connection, hydra: DictConfig, function: Callable[[Any], Any], config: object, run: str, lost: Path
+) -> None:
     # The process that began the sweep decides when runs end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, args=(run, lost), daemon=True).start()
     setup_globals()
-    sys.path[:], content = cloudpickle.loads(task.read_bytes())
-    state, function, config, run, on_orphaned, parent = cloudpickle.loads(content)
-    threading.Thread(target=_watch, args=(parent, run, *on_orphaned), daemon=True).start()
-    Singleton.set_state(state)
+    HydraConfig.instance().cfg = hydra
     try:
-        result = True, function(config)
+        # A run that goes on composes its first command line again.
+        with initialize_config_module(CONF, version_base="1.3"):
+            answer.send((True, function(config)))
     except Exception as error:
         if not isinstance(error, _EXPECTED):
             error.add_note(traceback.format_exc())
-        result = False, error
-    try:
-        content = cloudpickle.dumps(result)
-    except Exception:
-        content = cloudpickle.dumps((False, RunError(f"It ended with {result[1]!r}.")))
-    outcome.write_bytes(content)
+        try:
+            answer.send((False, error))
+        except Exception:  # one that cannot be sent
+            answer.send((False, RunError(f"It ended with {error!r}.")))
 
 
-def _watch(parent: int, run: str, file: Path, every: float) -> None:
+def _end_with_parent(run: str, lost: Path) -> None:
     """End this process once its parent was killed: nobody would hear of the run."""
-    while os.getppid() == parent:
-        time.sleep(every)
-    with file.open("a", encoding="utf-8") as lost:
-        lost.write(f"{run}\n")
-    os._exit(1)
-
-
-if __name__ == "__main__":
-    _main(Path(sys.argv[1]), Path(sys.argv[2]))
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        with lost.open("a", encoding="utf-8") as file:
+            file.write(f"{run}\n")
+        signal.raise_signal(signal.SIGKILL)

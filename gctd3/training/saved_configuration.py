@@ -82,7 +82,7 @@ def load_config(run: str | Path) -> DictConfig:
 
 
 def as_data(value: Any) -> Any:  # noqa: ANN401 - any nesting
-    """Escape every ``${`` in the texts of a nesting, so that OmegaConf takes it for text.
+    """Mark every ``${`` in the texts of a nesting as text for OmegaConf.
 
     A run may be somebody else's, and ``${oc.env:NAME}`` would read the environment here.
     """

@@ -16,14 +16,14 @@ from gctd3.config.paths import escaped
 from gctd3.config.terminal import enduring_output
 from gctd3.errors import RunError
 from gctd3.files import refuse_links, remove, remove_empty, remove_leftovers, shown
-from gctd3.robots.own_copy import has_robot, keep_robot
+from gctd3.robots.keep import has_robot, keep_robot
 from gctd3.signals import StopRequest
 from gctd3.training.announcements import best_text, closing, opening
 from gctd3.training.own_process import in_own_process
 from gctd3.training.run_lock import only_one
 from gctd3.training.saved_configuration import CONFIG, changed, changes_of_arithmetic, load_config, save_config
 from gctd3.training.saved_robot import setup_of
-from gctd3.training.sweep import LOST, WATCH, lost, share_cores, stop_file
+from gctd3.training.sweep import LOST, lost, share_cores, stop_file
 
 LOG = "log.txt"  # output of runs side by side
 WORST = -1e9  # result of a run without a policy: below every return, and finite
@@ -52,7 +52,7 @@ def _beside(config: DictConfig, sweep: Path) -> float:
     run = Path(HydraConfig.get().runtime.output_dir)
     if str(run) in lost(sweep):
         raise RunError("Its process was killed. It goes on from its last checkpoint, once the sweep is continued.")
-    result: float = in_own_process(_in_own_process, config, run, (sweep / LOST, WATCH))
+    result: float = in_own_process(_in_own_process, config, run, sweep / LOST)
     return result
 
 

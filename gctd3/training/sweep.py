@@ -22,7 +22,7 @@ from gctd3.training.saved_configuration import CONFIG
 STOP = ".stop"  # in the sweep's directory while its runs are to end
 LOST = ".lost"  # in the sweep's directory: those of the runs whose processes were killed
 AGAIN = "GCTD3_SWEEP_WITHOUT"  # environment variable of a sweep that began again: the runs it leaves out
-WATCH = 0.5  # between looks for the process that a run belongs to (s)
+WATCH = 0.5  # between looks for what was lost (s)
 
 
 def runs_at_once(launcher: DictConfig) -> int:
@@ -142,7 +142,7 @@ def _go_on(directory: Path) -> bool:
     for run in new:
         print(f"error: {shown(run)}: its process was killed; the other runs go on.", file=sys.stderr, flush=True)
     if not new:
-        print("error: A process of the sweep was killed, and joblib ended the others.", file=sys.stderr, flush=True)
+        print("error: A process of the sweep was killed, and with it all others.", file=sys.stderr, flush=True)
     os.environ[AGAIN] = "\n".join([*known, *new])
     return bool(new)
 

@@ -68,7 +68,7 @@ def has_sky(model: mujoco.MjModel) -> bool:
 
 
 def paint_sky(pixels: np.ndarray, nothing: np.ndarray) -> None:
-    """Colour what is behind everything as a sky.
+    """Draw a sky where nothing else is.
 
     Args:
         pixels: Picture, shape ``[height, width, 3]``, 0 to 255, which is changed.

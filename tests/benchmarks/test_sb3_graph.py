@@ -48,7 +48,7 @@ def test_it_goes_on_where_it_stopped(benchmark, monkeypatch, tmp_path):
     assert trained == [("graph", 0), ("mlp", 0), ("graph", 1), ("mlp", 1)]
     found = json.loads((tmp_path / "out.json").read_text())["comparison"]["last evaluation"]
     assert (found["graph"]["value"], found["mlp"]["value"], found["difference"]["value"]) == (1.5, 0.5, 1.0)
-    with pytest.raises(SystemExit, match="holds runs with frames=20480: choose another out="):
+    with pytest.raises(SystemExit, match="holds runs with frames=20480, every=4096: choose another out="):
         run(benchmark, monkeypatch, "frames=100", "every=10", out)
 
 

@@ -116,7 +116,8 @@ def test_a_signal_ends_an_evaluation_with_a_line_and_leaves_nothing(capsys, monk
         with monkeypatch.context() as patch:
             patch.setattr(where, lambda *arguments, **named: signal.raise_signal(number))
             assert command("evaluate", f"out={tmp_path / 'evaluated'}", "episodes=1", "threads=1") == code
-        assert capsys.readouterr().err == "\nInterrupted.\n"
+        # On a slow machine a line of progress comes before.
+        assert capsys.readouterr().err.endswith("\nInterrupted.\n")
         assert not list(tmp_path.iterdir())
     assert signal.getsignal(number) is before
 

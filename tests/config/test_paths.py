@@ -127,7 +127,7 @@ def test_a_training_goes_where_it_is_told(tmp_path, monkeypatch, capsys):
     given = [f"robot={robot}", "total_frames=120", "algo=gctd3"]
     assert command("train", *tiny(place / "run", *given)) == 0
     said = capsys.readouterr().out
-    assert printed(said, "Run directory: ") and argv(printed(said, "Watch it walk:")) == [
+    assert printed(said, "Run directory: ") and argv(printed(said, "See what it does:")) == [
         "view",
         f"run={place / 'run'}",
     ]

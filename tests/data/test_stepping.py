@@ -75,11 +75,39 @@ def test_the_fitter_gaits_are_remembered_and_inherited(quadruped):
         gaits(nothing, 0.1 * step * speeds)
     torch.testing.assert_close(gaits.fitness, 0.5 * speeds)
     torch.testing.assert_close(gaits.best_frequency, tried)
-    # A second trial that stands still leaves the memory, which fades by a fiftieth.
+    # A second trial, of other gaits, that stands still leaves the memory.
+    gaits.again.fill_(False)
     for _ in range(5):
         gaits(nothing, 0.5 * speeds)
-    torch.testing.assert_close(gaits.fitness, 0.98 * 0.5 * speeds)
+    torch.testing.assert_close(gaits.fitness, 0.5 * speeds)
     torch.testing.assert_close(gaits.best_frequency, tried)
+
+
+def test_luck_does_not_stay(quadruped):
+    """A gait that is tried again counts by the mean of both trials, and remains the robot's own."""
+    gaits = stepping(quadruped, trial=0.1)
+    nothing = torch.zeros(4, dtype=torch.bool)
+    gaits.fitness.fill_(0.3)
+    gaits.best_frequency.copy_(torch.tensor([1.0, 1.5, 2.0, 2.5]))
+    gaits(torch.ones(4, dtype=torch.bool), torch.zeros(4))
+    gaits.again.fill_(True)
+    for step in range(1, 6):
+        gaits(nothing, 0.004 * step * torch.tensor([0.0, 1.0, 2.0, 4.0]))
+    torch.testing.assert_close(gaits.fitness, 0.15 + 0.01 * torch.tensor([0.0, 1.0, 2.0, 4.0]))
+    assert gaits.best_frequency.tolist() == [1.0, 1.5, 2.0, 2.5]
+
+
+def test_in_the_last_round_robots_try_what_they_remember(quadruped):
+    torch.manual_seed(0)
+    gaits = Stepping(quadruped, 8, 0.04, 0.02, steps=20)
+    position = torch.zeros(8)
+    begins, nothing = torch.ones(8, dtype=torch.bool), torch.zeros(8, dtype=torch.bool)
+    for step in range(20):
+        gaits(nothing if step else begins, position)
+        position = position + 0.01 * torch.rand(8)
+    assert gaits.again.all()
+    for name in gaits.GENES:
+        torch.testing.assert_close(getattr(gaits, name), getattr(gaits, f"best_{name}"))
 
 
 def test_a_fall_makes_a_gait_less_fit(quadruped):

@@ -288,6 +288,7 @@ def test_what_is_missing_is_named_before_anything_is_done(tmp_path, monkeypatch,
     assert "needs onnxscript: pip install 'gctd3[export]'" in capsys.readouterr().err
 
 
+@pytest.mark.dm_control
 def test_a_librarys_task_is_refused(tmp_path, capsys):
     run = tmp_path / "run"
     with initialize_config_module("gctd3.conf", version_base="1.3"):

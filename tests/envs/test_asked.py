@@ -1,5 +1,7 @@
 """The Python API takes what the command line takes, with the same meaning."""
 
+import math
+
 import gymnasium
 import mujoco
 import numpy as np
@@ -100,13 +102,14 @@ def test_every_way_to_an_environment_takes_the_options(option):
     serial = gctd3.make_env(num_envs=1, backend="dm_control", **given)
     suite = dmc.load("biped", random=0, **given).task.task
     vector = gymnasium.make_vec(BIPED, num_envs=2, **given).unwrapped.simulation.task
-    single = gymnasium.make(BIPED, observation="nodes", **given).unwrapped
+    single = gymnasium.make(BIPED, **given).unwrapped
     tasks = [batched.base_env.simulation.task, suite, vector, single._one.simulation.task]
     for task in tasks:
         assert task.settings == wanted.settings and task.robot.feet == wanted.robot.feet
     shape = (wanted.graph.num_nodes, wanted.features * wanted.history)
     assert batched.reset()["nodes"].shape[1:] == serial.reset()["nodes"].shape[1:] == shape
-    assert single.observation_space.shape == shape
+    # Flat by default.
+    assert single.observation_space.shape == (math.prod(shape),)
 
 
 @pytest.mark.parametrize("backend", ["batched", "dm_control"])

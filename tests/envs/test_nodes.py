@@ -19,6 +19,7 @@ SUITE = {
 }
 GYM = {"Walker2d-v5": 9, "HalfCheetah-v5": 9, "Ant-v5": 1 + 4 + 8 + 2}
 EVERY = [*(pytest.param(name, marks=pytest.mark.dm_control) for name in SUITE), *GYM]
+OF_SUITE = {case.values[0]: case for case in EVERY if not isinstance(case, str)}
 
 
 def base_env(name):
@@ -80,6 +81,7 @@ def test_gymnasiums_own_observation_is_in_the_nodes(name, angles):
     torch.testing.assert_close(nodes[:, 1].clamp(-10, 10), seen[:, [1, 10]].clamp(-10, 10))
 
 
+@pytest.mark.dm_control
 def test_dm_controls_own_height_is_in_the_root():
     env = make("walker-walk")
     rollout = env.rollout(20)
@@ -88,7 +90,7 @@ def test_dm_controls_own_height_is_in_the_root():
     assert torch.equal(rollout["next", "nodes"][:, 0, 1], rollout["next", "velocity"][:, 1].float())
 
 
-@pytest.mark.parametrize("name", ["walker-walk", "quadruped-walk", "Ant-v5"])
+@pytest.mark.parametrize("name", [OF_SUITE["walker-walk"], OF_SUITE["quadruped-walk"], "Ant-v5"])
 def test_feet_are_down_when_they_are_on_the_floor(name):
     env = make(name)
     env.reset()
@@ -144,6 +146,7 @@ def test_a_ball_joint_widens_every_node():
     assert static == pytest.approx({name: expected.get(name, 0.0) for name in STATIC})
 
 
+@pytest.mark.dm_control
 def test_several_robots_and_what_is_none():
     env = SerialEnv(2, [lambda: make("walker-walk", history=2)] * 2)
     assert env.rollout(4)["nodes"].shape == (2, 4, 9, 4)

@@ -12,8 +12,10 @@ import gctd3
 
 ROOT = Path(gctd3.__file__).parent
 ALLOWED = {"compat.py", "nn/kernels.py"}
-# What TorchRL documents as the methods that a subclass writes.
+# What TorchRL documents as the methods that a subclass writes; what Stable-Baselines3's own VecEnvs call of their base;
+# and Python's own os._exit.
 WRITTEN = {"_reset", "_step", "_set_seed", "_call", "_inv_call", "_apply_transform"}
+WRITTEN |= {"_seeds", "_reset_seeds", "_reset_options", "_get_indices", "_exit"}
 
 
 def private(name):

@@ -9,8 +9,9 @@ import pytest
 from robots import FREE_LEGS, TWO_LEGS, write
 
 from gctd3.errors import RunError
-from gctd3.files import read_manifest, write_manifest
-from gctd3.robots.own_copy import OwnCopy, keep_robot
+from gctd3.files import checksum, read_manifest, write_manifest
+from gctd3.robots.keep import keep_robot
+from gctd3.robots.own_copy import OwnCopy
 from gctd3.robots.settings import GivenRobot, RobotSettings
 
 TETRAHEDRON = "v 0 0 0\nv {0} 0 0\nv 0 {0} 0\nv 0 0 {0}\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -90,18 +91,20 @@ def test_a_completed_robot_moves_alike_without_its_files(tmp_path):
     file = meshes(tmp_path / "source")
     robot, copy = kept(RobotSettings(str(file), hold=()), tmp_path / "run")
     assert robot.notes and copy.content["left_out"]
-    before = moved(robot)
+    before, seal = moved(robot), checksum(tmp_path / "source" / "forms" / "so lid.obj")
     shutil.rmtree(tmp_path / "source")
     moved_on = shutil.move(tmp_path / "run", tmp_path / "elsewhere")
     copy = OwnCopy.read(type(tmp_path)(moved_on))
     assert np.array_equal(moved(copy.robot), before)
     # Of the meshes the one that collides is there, of the other the hash.
-    assert sorted(file.name for file in copy.folder.iterdir()) == [
-        "0_so lid.obj",
-        "manifest.json",
-        "numbers.npz",
-        "robot.xml",
-    ]
+    assert sorted(file.name for file in copy.folder.iterdir()) == sorted(
+        [
+            f"{seal[:12]}_so lid.obj",
+            "manifest.json",
+            "numbers.npz",
+            "robot.xml",
+        ]
+    )
     left = {row["file"].rpartition("/")[2]: row["sha256"] for row in copy.content["left_out"]}
     assert sorted(left) == ["shown.obj", "skin.png"] and all(len(seal) == 64 for seal in left.values())
     # The mass of the mesh that is shown counts.
@@ -142,6 +145,19 @@ def test_a_urdfs_meshes_are_written_whole(tmp_path):
     assert robot.model.nmesh == 1
     file.unlink()
     assert np.array_equal(moved(copy.robot), moved(robot))
+
+
+def test_two_runs_have_meshes_of_one_name(tmp_path):
+    """One process reads both: each has its own."""
+    robots = []
+    for name, size in (("one", 1), ("two", 1.5)):
+        file = meshes(tmp_path / name)
+        (tmp_path / name / "forms" / "so lid.obj").write_text(TETRAHEDRON.format(size))
+        robots.append(kept(RobotSettings(str(file)), tmp_path / f"run_{name}"))
+    for robot, copy in robots:
+        assert np.array_equal(moved(copy.robot), moved(robot))
+    masses = [copy.robot.model.body_mass.sum() for _, copy in robots]
+    assert masses[1] > masses[0]
 
 
 # Changes of the source.

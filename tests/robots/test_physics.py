@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gctd3.robots.physics import part_hashes, physics_hash, rounded
+from gctd3.robots.physics import part_hashes, physics_hash
+from gctd3.robots.rounding import rounded
 from gctd3.robots.sources import find_place
 
 ATTACHED = Path(__file__).parent / "cases" / "hash"

@@ -266,7 +266,10 @@ WRONG = {
         LEGS.replace('xyz="0 0 -0.2"', 'xyz="0 0"').replace(LEG, '<mesh filename="box.stl"/>'),
         "three numbers",
     ),
-    "no parent": (LEGS.replace('<parent link="torso"/>', '<parent link="trunk"/>'), "not a URDF that MuJoCo can read"),
+    "no parent": (
+        LEGS.replace('<parent link="torso"/>', '<parent link="trunk"/>'),
+        "the parent of joint 'hip_l' must be a link",
+    ),
     "a word for an inertia": (LEGS.replace('ixx="0.01"', 'ixx="much"'), "inertia of link 'torso'"),
     "a word for an effort": (LEGS.replace('effort="7"', 'effort="much"'), "effort"),
     "a word for a mass": (LEGS.replace('mass value="1"', 'mass value="much"'), "mass"),

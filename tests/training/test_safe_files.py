@@ -302,6 +302,10 @@ def test_files_are_written_in_one_place_only():
         ("files.py", "os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))"),
         ("viz/film.py", "aside.write_bytes(gif(frames, fps))"),
         ("runs/draw.py", 'with new_file(out) as aside, aside.open("wb") as file:'),
+        ("robots/keep.py", '(folder / OWN_MJCF).write_text(portable.mjcf, encoding="utf-8")'),
+        ("robots/keep.py", 'with (folder / NUMBERS).open("wb") as opened:'),
+        # A sweep's own list of runs whose processes were killed.
+        ("training/own_process.py", 'with lost.open("a", encoding="utf-8") as file:'),
         # A run's own log, after refuse_links.
         ("training/session.py", '(run / LOG).open("a", encoding="utf-8", buffering=1) as log,'),
     }

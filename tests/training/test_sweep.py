@@ -263,7 +263,7 @@ def test_a_run_that_reached_what_it_was_to_show_is_at_its_end(tmp_path):
 def test_a_sweeper_gets_the_return_of_the_best_policy(tmp_path, monkeypatch):
     got = []
 
-    from gctd3 import train as module
+    from gctd3.training import session as module
 
     actual = module.train
     monkeypatch.setattr(module, "train", lambda config: got.append(actual(config)) or got[-1])
@@ -281,13 +281,11 @@ def holders(sweep):
     found = {}
     for directory in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            call = (directory / "cmdline").read_bytes().split(b"\0")
-            if b"gctd3.training.own_process" in call:
-                open_files = {os.readlink(file) for file in (directory / "fd").iterdir()}
-                parent = int((directory / "stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()[1])
-                for run in sweep.iterdir():
-                    if str(run / "log.txt") in open_files:
-                        found[run.name] = int(directory.name), parent
+            open_files = {os.readlink(file) for file in (directory / "fd").iterdir()}
+            parent = int((directory / "stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()[1])
+            for run in sweep.iterdir():
+                if str(run / "log.txt") in open_files:
+                    found[run.name] = int(directory.name), parent
     return found
 
 

@@ -191,6 +191,7 @@ def test_total_episodes_ends_the_training(tmp_path):
     assert 3 * 4 < int(row["frames"]) < 1000
 
 
+@pytest.mark.dm_control
 def test_trains_on_dm_control(finished):
     run = finished["dm_control"]
     assert [row["frames"] for row in rows(run)] == ["80", "160", "240"]
