@@ -169,7 +169,7 @@ def test_the_cause_of_a_term_that_fails_is_kept():
         (lambda: Reward(terms=None), "terms must be a mapping of terms by name, got None"),
         (lambda: make_env(reward={"x": Failing()}), "reward must be a Reward, got {'x': Failing("),
         (lambda: make_env(reward={}), "reward must be a Reward, got {}"),
-        (lambda: make_env(task="walk"), "task must be a TaskSettings, got 'walk'"),
+        (lambda: make_env(task=Failing()), "task must be a TaskSettings, got Failing("),
         (lambda: walking(of=Failing()), "reward must be a Reward, got Failing("),
     ],
 )
