@@ -33,6 +33,7 @@ _HOME = {
 # Names of gctd3 for the ``_target_`` of a YAML. Configurations of runs hold these names, so they outlive moves.
 _TARGETS = {
     "ActionRate": "gctd3.tasks.motor_terms",
+    "DomainRandomisation": "gctd3.tasks.domain_randomisation",
     "Effort": "gctd3.tasks.motor_terms",
     "EndStops": "gctd3.tasks.motor_terms",
     "HomePose": "gctd3.tasks.motor_terms",
@@ -43,6 +44,7 @@ _TARGETS = {
     "BaseCoordinate": "gctd3.tasks.features",
     "BaseRate": "gctd3.tasks.features",
     "BodyHeight": "gctd3.tasks.reward_terms",
+    "CommandGrid": "gctd3.evaluation.settings",
     "Composition": "gctd3.tasks.simulated_task",
     "DDPGSettings": "gctd3.algorithms.settings",
     "Ended": "gctd3.tasks.reward_terms",
@@ -87,6 +89,7 @@ _TARGETS = {
     "SingleSupport": "gctd3.tasks.reward_terms",
     "StopTogether": "gctd3.training.sweep",
     "StopWhen": "gctd3.training.stop_when",
+    "Survive": "gctd3.tasks.terminations",
     "StuckHip": "gctd3.tasks.terminations",
     "SwingTime": "gctd3.tasks.reward_terms",
     "TD3Settings": "gctd3.algorithms.settings",
@@ -95,6 +98,19 @@ _TARGETS = {
     "TrainSettings": "gctd3.training.settings",
     "UniformCommand": "gctd3.tasks.commands",
     "Velocity": "gctd3.tasks.features",
+    "CommandBase": "gctd3.tasks.velocity_features",
+    "CommandForward": "gctd3.tasks.velocity_features",
+    "GravityDirection": "gctd3.tasks.velocity_features",
+    "GravityUp": "gctd3.tasks.velocity_features",
+    "Gyroscope": "gctd3.tasks.velocity_features",
+    "HeadingForward": "gctd3.tasks.velocity_features",
+    "HeadingBase": "gctd3.tasks.velocity_features",
+    "LastAction": "gctd3.tasks.velocity_features",
+    "StandStill": "gctd3.tasks.velocity_terms",
+    "TrackVelocity": "gctd3.tasks.velocity_terms",
+    "TrackYawRate": "gctd3.tasks.velocity_terms",
+    "VelocityCommand": "gctd3.tasks.velocity_command",
+    "VelocitySettings": "gctd3.tasks.velocity",
     "ViewSettings": "gctd3.runs.settings",
     "WalkSettings": "gctd3.tasks.walk",
 }
@@ -108,6 +124,11 @@ def _register() -> None:
         id="gctd3/Biped-v0",
         entry_point="gctd3.envs.gym:BipedEnv",
         vector_entry_point="gctd3.envs.gym:BipedVectorEnv",
+    )
+    register(
+        id="gctd3/Velocity-v0",
+        entry_point="gctd3.envs.gym:VelocityEnv",
+        vector_entry_point="gctd3.envs.gym:VelocityVectorEnv",
     )
 
 

@@ -291,12 +291,13 @@ def complete_compositions(complete: Callable[[Any], None]) -> None:
 
 
 def control_of(server: Any, uuid: str) -> object:  # noqa: ANN401 - a viser.ViserServer
-    """Find a control of a viser server's page by the id that browsers know it by; ``None`` if there is none.
+    """Find a control or a key of a viser server's page by the id that browsers know it by; ``None`` if there is none.
 
-    Private: ``GuiApi._gui_input_handle_from_uuid`` (viser 1.1.1).
+    Private: ``GuiApi._gui_input_handle_from_uuid``, ``GuiApi._command_handle_from_uuid`` (viser 1.1.1).
     """
     controls: Mapping[str, object] = read(server.gui, "_gui_input_handle_from_uuid", VISER)
-    return controls.get(uuid)
+    keys: Mapping[str, object] = read(server.gui, "_command_handle_from_uuid", VISER)
+    return controls.get(uuid) or keys.get(uuid)
 
 
 @contextlib.contextmanager

@@ -13,39 +13,32 @@ if TYPE_CHECKING:
 
 def _task(config: DictConfig) -> None:
     from gctd3.config.build import build
-    from gctd3.evaluation.robustness import table as robustness_table
-    from gctd3.runs.evaluate import (
-        EVALUATION,
-        ROBUSTNESS,
-        ROBUSTNESS_PICTURE,
-        TRACE,
-        examine_run,
-        measure_run,
-        table,
-        where_to_write,
-        where_written,
-        write_evaluation,
-        write_robustness,
-    )
+    from gctd3.evaluation import command_grid, robustness
+    from gctd3.runs import evaluate as of_run
     from gctd3.runs.settings import EvaluateSettings
 
     settings: EvaluateSettings = build(config)
     # Before the simulation, which may be long.
-    folder, refused = where_to_write(settings)
+    folder, refused = of_run.where_to_write(settings)
     if refused is not None:
         print(refused, file=sys.stderr, flush=True)
-    report, motion = measure_run(settings)
-    print(table(report), flush=True)
+    report, motion = of_run.measure_run(settings)
+    print(of_run.table(report), flush=True)
     # After the table, so that a disk that is full by now does not cost it.
-    write_evaluation(folder, report, motion)
-    written = [EVALUATION, TRACE]
+    of_run.write_evaluation(folder, report, motion)
+    written = [of_run.EVALUATION, of_run.TRACE]
     if settings.robustness:
         gait = report["gait"]
-        results = examine_run(settings, gait.get("stride_time") if isinstance(gait, dict) else None)
-        print(f"\n{robustness_table(results)}", flush=True)
-        write_robustness(folder, results)
-        written += [ROBUSTNESS, ROBUSTNESS_PICTURE]
-    print(f"\n{refused or where_written(folder, written)}")
+        results = of_run.examine_run(settings, gait.get("stride_time") if isinstance(gait, dict) else None)
+        print(f"\n{robustness.table(results)}", flush=True)
+        of_run.write_robustness(folder, results)
+        written += [of_run.ROBUSTNESS, of_run.ROBUSTNESS_PICTURE]
+    if settings.commands:
+        results = of_run.command_run(settings)
+        print(f"\n{command_grid.table(results)}", flush=True)
+        of_run.write_commands(folder, results)
+        written += [of_run.COMMANDS, of_run.COMMANDS_PICTURE]
+    print(f"\n{refused or of_run.where_written(folder, written)}")
 
 
 def main() -> None:

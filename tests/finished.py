@@ -24,6 +24,7 @@ RUNS = {
     "ddpg": (["algo=ddpg"], ()),
     "sac": (["algo=sac"], ()),
     "quadruped": (["algo=gctd3", "robot=quadruped"], ()),
+    "velocity": (["algo=gctd3", "robot=quadruped", "task=velocity"], ()),
     "dm_control": (["algo=gctd3", "env.backend=dm_control"], ()),
     "library": (
         ["algo=gctd3", *LIBRARY],

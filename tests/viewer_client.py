@@ -171,6 +171,8 @@ def lies(client):
     yield {"type": "GuiUpdateMessage", "uuid": run, "updates": None}
     yield {"type": "GuiUpdateMessage", "uuid": run, "updates": {}}
     for kind in (
+        "CommandTriggerMessage",
+        "CommandUpdateMessage",
         "GuiFormDirtyMessage",
         "GuiFormSubmitMessage",
         "ShareUrlDisconnect",

@@ -51,7 +51,8 @@ class AlgorithmSettings(ABC):
         tau: Share of the trained parameters that enters the averaged ones at each target update; the paper's is 0.001.
         gamma: Discount factor (Table 4).
         average_policy: Evaluate the averaged actor, which is steadier than the trained one.
-        privileged_critic: Let the critics see how near each time-based ending is; the policy never does.
+        privileged_critic: Let the critics see how near each time-based ending is, and the features of task.privileged;
+            the policy never does.
         compile: Compile the losses with torch.compile, into CUDA graphs on a GPU; on a CPU it costs more than it saves.
     """
 

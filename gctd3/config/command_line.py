@@ -152,8 +152,9 @@ def _without_null(arguments: list[str], config: str) -> list[str]:
 
 
 def _subject(robot: object, task: str) -> str:
-    """Return the name of the robot that walks, whether it ships with gctd3 or is a file, or the library's task."""
-    return title(str(robot)) if task == "walk" else task
+    """Return the name of the robot that walks, or with the task that it does instead, or the library's task."""
+    own = {"walk": title(str(robot)), "velocity": f"{title(str(robot))}_velocity"}
+    return own.get(task, task)
 
 
 # The subject of a run, for its path; registered here, so that processes of a sweep know it too.

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import gctd3
-from gctd3.deploy.contract_checks import CLOCK, LAST_ACTION, contradictions
+from gctd3.deploy.contract_checks import CLOCK, COMMAND, LAST_ACTION, contradictions
 from gctd3.deploy.contract_parts import Feature, NetworkFile, Node, RobotIdentity, Safety, Servo
 from gctd3.errors import ContractError, RobotError, RunError, one_line, shown
 from gctd3.files import MANIFEST, OWN_MJCF, OWN_ROBOT, check_file, read_manifest, seal
@@ -83,14 +83,19 @@ class Contract:
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """Return the features whose reading the robot gives, in the order of the nodes."""
+        """Return the features whose value is given, by a sensor or as a command, in the order of the nodes."""
         given = (f for node in self.nodes for f in node.features if f.reading is not None)
         return tuple(feature for feature in given if feature.source not in (LAST_ACTION, CLOCK))
 
     @property
     def readings(self) -> tuple[str, ...]:
-        """Return the names of the readings that the robot gives, in the order of the nodes."""
-        return tuple(str(feature.reading) for feature in self.features)
+        """Return the names of the readings that the robot's sensors give, in the order of the nodes."""
+        return tuple(str(feature.reading) for feature in self.features if feature.source != COMMAND)
+
+    @property
+    def commands(self) -> dict[str, tuple[float, float]]:
+        """Return the lowest and the highest command by its name, whose ending is its unit; empty for none."""
+        return {str(f.reading): (f.low, f.high) for f in self.features if f.source == COMMAND}
 
     @property
     def own_actions(self) -> tuple[tuple[int, int, int], ...]:

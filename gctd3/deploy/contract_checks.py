@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 # A desired angle further from 0 is one in degrees.
 MOST_ANGLE = 4.0 * math.pi  # rad
 LAST_ACTION, CLOCK = "last action", "clock"  # sources of features that the policy itself knows
+COMMAND = "command"  # source of features that an operator or a planner gives
 BY_ANGLES, BY_GRAVITY = "arc cosine of the product of the cosines", "arc cosine of the negative reading"
 MOST_REPEATS = 10_000  # frames of the history, and periods of holding
 LEAST_RATE, MOST_RATE = 1e-3, 1e6  # Hz
@@ -38,7 +39,7 @@ def contradictions(contract: Contract) -> Iterator[str]:
 
 
 def _shapes(contract: Contract) -> Iterator[str]:
-    nodes, servos, readings = contract.nodes, contract.servos, contract.readings
+    nodes, servos, given = contract.nodes, contract.servos, [feature.reading for feature in contract.features]
     if not (contract.control_rate_hz > 0 and contract.history_frames > 0):
         yield "control_rate_hz and history_frames are above 0"
     if not (LEAST_RATE <= contract.control_rate_hz <= MOST_RATE and contract.history_frames <= MOST_REPEATS):
@@ -49,12 +50,12 @@ def _shapes(contract: Contract) -> Iterator[str]:
     shape = (len(nodes), *{len(node.features) * contract.history_frames for node in nodes})
     if shape != contract.network.input_shape:
         yield f"nodes and history_frames make {shape}, not network.input_shape"
-    if not readings:
+    if not contract.readings:
         yield "no feature has a reading"
     if not servos:
         yield "there are no servos"
     for names, what in (
-        (readings, "two features have one reading"),
+        (map(str, given), "two features have one reading"),
         ((node.name for node in nodes), "two nodes have one name"),
         ((servo.actuator for servo in servos), "two servos have one actuator"),
         ((servo.joint for servo in servos), "two servos have one joint"),
@@ -76,7 +77,9 @@ def _feature(node: str, feature: Feature) -> Iterator[str]:
     name = feature.reading
     if name is None:
         return
-    if not -LARGEST <= feature.low < feature.high <= LARGEST:
+    # A command that is always the same is one.
+    ordered = feature.low <= feature.high if feature.source == COMMAND else feature.low < feature.high
+    if not (feature.low >= -LARGEST and ordered and feature.high <= LARGEST):
         yield f"low of {name!r} of node {node!r} is below its high, both within {LARGEST:g}"
     if not abs(feature.zero) <= LARGEST or not feature.margin >= 0:
         yield f"zero of {name!r} is within {LARGEST:g}, and its margin at least 0"

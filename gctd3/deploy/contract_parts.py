@@ -18,8 +18,8 @@ class Feature:
         meaning: Meaning of the reading.
         unit: Unit of the reading and of the three limits; ``1`` for a number without one.
         source: Sensor that gives the reading on a real robot, see :mod:`gctd3.tasks.sensors`.
-        low: Smallest reading that is accepted.
-        high: Largest reading that is accepted.
+        low: Smallest reading that is accepted; of a command of the task the smallest that it was trained for.
+        high: Largest reading that is accepted, in the same way.
         margin: Part of both limits that lies beyond the range of the joint and of the values seen in simulation.
         binary: Whether the reading is 0 or 1.
         zero: Value of the reading at which the feature is 0: the network sees the difference.

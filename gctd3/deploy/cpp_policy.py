@@ -44,7 +44,8 @@ def to_cpp(content: bytes, contract: Contract) -> str:
 def _contract(contract: Contract) -> str:
     nodes, servos, safety, features = contract.nodes, contract.servos, contract.safety, contract.features
     width = len(nodes[0].features)
-    place = {name: i for i, name in enumerate(contract.readings)}
+    names = [str(feature.reading) for feature in features]
+    place = {name: i for i, name in enumerate(names)}
     placed = [i * width + k for i, n in enumerate(nodes) for k, f in enumerate(n.features) if f.reading in place]
     own = contract.own_actions
     clocks = contract.clocks
@@ -57,7 +58,7 @@ def _contract(contract: Contract) -> str:
         f"constexpr double PERIOD = {1.0 / contract.control_rate_hz!r};  // s",
         f"constexpr double MOST_TILT = {safety.most_tilt_rad or 0.0!r};  // rad, 0 for none",
         f"constexpr bool CAN_START = {_bool(all(servo.angle_reading is not None for servo in servos))};",
-        _array("const char*", "READING_NAMES", map(_text, contract.readings)),
+        _array("const char*", "READING_NAMES", map(_text, names)),
         _array("const char*", "READING_UNITS", (_text(f.unit) for f in features)),
         _array("double", "LEAST", (repr(f.low) for f in features)),
         _array("double", "MOST", (repr(f.high) for f in features)),

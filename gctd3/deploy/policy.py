@@ -45,7 +45,8 @@ class Policy:
             the policy must have been trained for it.
 
     Attributes:
-        contract: The contract of the policy; ``contract.readings`` names the readings.
+        contract: The contract of the policy; ``contract.readings`` names the readings, and ``contract.commands`` the
+            commands of a policy that follows them, with their ranges.
         at_home: Whether the last call was a :meth:`start` that arrived at the home pose.
         limited: Number of steps in which the change of a desired angle was limited to ``most_change_rad``.
         stopped: Reason for which the policy has stopped until :meth:`reset`; ``None`` if it has not.
@@ -125,7 +126,8 @@ class Policy:
             ContractError: If the policy does not read the angle of every joint.
         """
         try:
-            values = self._read(readings)
+            # On the way to its home pose the robot follows no command.
+            values = self._read(readings, self._readings.still or None)
         except RefusalError as refusal:
             raise self._refuse(refusal) from None
         angles = self._readings.joint_angles(values)
@@ -140,7 +142,13 @@ class Policy:
         self.at_home = self._safe.at_home
         return self.command
 
-    def step(self, readings: Mapping[str, float], time: float, now: float | None = None) -> dict[str, float]:
+    def step(
+        self,
+        readings: Mapping[str, float],
+        time: float,
+        now: float | None = None,
+        command: Mapping[str, float] | None = None,
+    ) -> dict[str, float]:
         """Compute the desired joint angles of one control step from the readings.
 
         A refused reading costs its own control period only: good ones may follow in the next. A late reading is used,
@@ -151,19 +159,21 @@ class Policy:
             readings: Value of each of ``contract.readings``, not normalised: angles in rad, contacts 0 or 1.
             time: Time of the readings (s), on any steady clock.
             now: Current time of that clock (s); if given, readings older than a control period are refused.
+            command: Value of each of ``contract.commands`` for this step, within its range, of a policy that follows
+                commands: ``{"command_forward_m_s": 0.5, "command_side_m_s": 0.0, "command_turn_rad_s": 0.0}``.
 
         Returns:
             Desired joint angles by the name of the actuator (rad), within the servos' limits.
 
         Raises:
-            ReadingError: If a reading is missing, unknown, not a finite number, beyond its limits, too old or too late,
-                time is not a finite number or goes backwards, the body is tilted too far, or the network's output is
-                not finite; its ``command`` is safe to send.
+            ReadingError: If a reading or a command is missing, unknown, not a finite number or beyond its limits,
+                readings are too old or too late, time is not a finite number or goes backwards, the body is tilted too
+                far, or the network's output is not finite; its ``command`` is safe to send.
         """
         self._starting = self.at_home = False
         try:
             when = self._at(time, now)
-            values = self._read(readings)
+            values = self._read(readings, command)
             began = when if self._began is None else self._began
             stack = self._history(self._readings.frame(values, self._action, when - began), when)
             action = self._run(stack)
@@ -215,11 +225,11 @@ class Policy:
             f"s; at most {hold} may be missed. The next ones begin a new history."
         )
 
-    def _read(self, readings: Any) -> np.ndarray:  # noqa: ANN401
-        """Return the values of the readings, shape ``[R]``; stop if the body is tilted too far."""
+    def _read(self, readings: Any, command: Any) -> np.ndarray:  # noqa: ANN401
+        """Return the values of readings and commands, shape ``[R]``; stop if the body is tilted too far."""
         if self.stopped is not None:
             raise RefusalError(self.stopped)
-        values, most = self._readings.read(readings), self.contract.safety.most_tilt_rad
+        values, most = self._readings.read(readings, command), self.contract.safety.most_tilt_rad
         tilt = self._readings.tilt(values)
         if most is not None and tilt > most:
             self.stopped = (

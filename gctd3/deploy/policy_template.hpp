@@ -5,7 +5,7 @@
 //   // Once a control period, @PERIOD@ s; `command` is safe to send whatever is returned.
 //   if (const char* reason = policy.step(readings, time, command)) log(reason);
 //
-// READING_NAMES and SERVO_NAMES give the order of both arrays, angles in rad. Before a walk call start() until at_home().
+// READING_NAMES, commands among them, and SERVO_NAMES give the order of both arrays, angles in rad. Before a walk call start() until at_home().
 // The meaning of every number is in CONTRACT, and in docs/safety.md of gctd3. No memory is allocated, nothing is thrown.
 #pragma once
 

@@ -25,37 +25,38 @@ class Readings:
     """
 
     def __init__(self, contract: Contract) -> None:
-        features, known = contract.features, set(contract.readings)
+        features = contract.features
+        names = [str(feature.reading) for feature in features]
+        known = set(names)
         places = [(i, k) for i, n in enumerate(contract.nodes) for k, f in enumerate(n.features) if f.reading in known]
-        self._features, self._names, self._known = features, contract.readings, known
+        self._features, self._names = features, names
+        self._sensors, self._commands = contract.readings, tuple(contract.commands)
+        # The command to stand, or the one that is nearest to it.
+        self.still = {name: min(max(0.0, low), high) for name, (low, high) in contract.commands.items()}
         self._shape = len(contract.nodes), len(contract.nodes[0].features)
         self._node, self._feature = np.array(places).T
         self._low, self._high = np.array([[f.low, f.high] for f in features]).T
         self._binary = np.array([f.binary for f in features])
         self._zero = np.array([f.zero for f in features])
-        place = {name: i for i, name in enumerate(self._names)}
+        place = {name: i for i, name in enumerate(names)}
         self._clocks = np.array(contract.clocks).reshape(-1, 4).T
         self._own = np.array(contract.own_actions, dtype=np.int64).reshape(-1, 3).T
         self._by_gravity = contract.safety.tilt == BY_GRAVITY
         self._tilt = [place[name] for name in contract.safety.tilt_readings]
         self._angles = [place.get(str(servo.angle_reading)) for servo in contract.servos]
 
-    def read(self, readings: Any) -> np.ndarray:  # noqa: ANN401 - a sensor driver's output
-        """Return the values in the order of ``contract.readings``, shape ``[R]``, in their units.
+    def read(self, readings: Any, command: Any = None) -> np.ndarray:  # noqa: ANN401 - of a sensor driver, an operator
+        """Return the values in the order of ``contract.features``, shape ``[R]``, in their units.
+
+        Args:
+            readings: Value of each of ``contract.readings``.
+            command: Value of each of ``contract.commands``; ``None`` for a contract without.
 
         Raises:
-            RefusalError: If a reading is missing, unknown, not a finite number or beyond its limits.
+            RefusalError: If a value is missing, unknown, not a finite number or beyond its limits.
         """
-        if not isinstance(readings, Mapping):
-            raise RefusalError(f"The readings must be a mapping from names to numbers, got {shown(readings)}.")
-        try:
-            given = dict(readings)
-        except Exception as error:  # whatever the mapping's own code raises
-            raise RefusalError(f"The readings cannot be read: {type(error).__name__}.") from error
-        if given.keys() != self._known:
-            missing = ", ".join(name for name in self._names if name not in given) or "none"
-            extra = shown_names([key for key in given if key not in self._known]) or "none"
-            raise RefusalError(f"The readings do not fit the contract: missing {missing}; unknown {extra}.")
+        given = _given("readings", readings, self._sensors)
+        given |= _given("commands", {} if command is None else command, self._commands)
         values = np.array([number(given[name]) for name in self._names])
         finite = np.isfinite(values)
         # Comparisons with NaN are false, so that a value that is none is found as well.
@@ -107,6 +108,21 @@ class Readings:
         """Return the angle of each servo's joint, shape ``[A]`` (rad); ``None`` if one of them is not read."""
         places = [place for place in self._angles if place is not None]
         return values[places] if len(places) == len(self._angles) else None
+
+
+def _given(what: str, values: Any, names: tuple[str, ...]) -> dict[str, Any]:  # noqa: ANN401
+    """Return values by name, if they are those that are named."""
+    if not isinstance(values, Mapping):
+        raise RefusalError(f"The {what} must be a mapping from names to numbers, got {shown(values)}.")
+    try:
+        given = dict(values)
+    except Exception as error:  # whatever the mapping's own code raises
+        raise RefusalError(f"The {what} cannot be read: {type(error).__name__}.") from error
+    if given.keys() != set(names):
+        missing = ", ".join(name for name in names if name not in given) or "none"
+        extra = shown_names([key for key in given if key not in names]) or "none"
+        raise RefusalError(f"The {what} do not fit the contract: missing {missing}; unknown {extra}.")
+    return given
 
 
 def shown_names(names: list[Any]) -> str:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from gctd3.deploy.contract import FORMAT, Contract
-from gctd3.deploy.contract_checks import CLOCK
+from gctd3.deploy.contract_checks import CLOCK, COMMAND
 from gctd3.deploy.contract_parts import Feature, NetworkFile, Node, RobotIdentity, Safety, Servo
 from gctd3.deploy.settings import ExportSettings
 from gctd3.errors import ConfigError, RobotError, suggest
@@ -120,7 +120,7 @@ def sensed(task: SimulatedTask, visited: np.ndarray) -> tuple[Node, ...]:
             tuple(
                 Feature(None, "nothing: always 0")
                 if reading is None
-                else _feature(task.robot, name, reading, visited[:, i, k], float(least[i, k]), float(most[i, k]))
+                else _feature(task, name, reading, visited[:, i, k], float(least[i, k]), float(most[i, k]))
                 for k, reading in enumerate(readings)
             ),
         )
@@ -128,7 +128,9 @@ def sensed(task: SimulatedTask, visited: np.ndarray) -> tuple[Node, ...]:
     )
 
 
-def _feature(robot: Robot, node: str, reading: Reading, values: np.ndarray, least: float, most: float) -> Feature:
+def _feature(
+    task: SimulatedTask, node: str, reading: Reading, values: np.ndarray, least: float, most: float
+) -> Feature:
     if reading.source not in SOURCES:
         raise ConfigError(
             f"The reading {reading.name!r} has the unknown source {reading.source!r}."
@@ -144,7 +146,10 @@ def _feature(robot: Robot, node: str, reading: Reading, values: np.ndarray, leas
     binary = reading.quantity == "contact" and bool(np.isin(values, (0.0, 1.0)).all())
     if binary:
         return Feature(reading.name, reading.meaning, unit, source, 0.0, 1.0, 0.0, True)
-    low, high, margin = _limits(robot, node, reading, least + reading.zero, most + reading.zero)
+    commands = task.command_ranges()
+    if source == COMMAND and reading.name in commands:
+        return Feature(reading.name, reading.meaning, unit, source, *commands[reading.name], zero=reading.zero)
+    low, high, margin = _limits(task.robot, node, reading, least + reading.zero, most + reading.zero)
     return Feature(reading.name, reading.meaning, unit, source, low, high, margin, False, reading.zero)
 
 

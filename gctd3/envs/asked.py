@@ -59,7 +59,7 @@ class InMemory(RobotSettings):
 
 def ask(
     robot: AnyRobot = "biped",
-    task: TaskSettings | None = None,
+    task: TaskSettings | str | None = None,
     reward: Reward | str | None = None,
     *,
     history: int | None = None,
@@ -75,9 +75,10 @@ def ask(
         robot: What ``robot=`` of the command line takes: a robot's name (``"biped"``, ``"go2"``), an MJCF or URDF file,
             ``PACKAGE:PATH``, ``menagerie:NAME``, ``description:MODULE``, each with the settings of the task that come
             with it; or settings of a robot, a robot or a compiled model in memory, to which nothing is added.
-        task: The settings of the task; by default the robot's own, or else the paper's walk.
+        task: The settings of the task, or the name of an option of ``task=`` (``"velocity"``), as the robot's own
+            settings change it; by default the robot's own, or else the paper's walk.
         reward: The reward, or the name of an option of ``reward=`` (``"walk"``), as the robot's own settings change it;
-            the paper's by default.
+            by default that of the named task, or else the paper's.
         history: Number of frames stacked into an observation; the task's by default.
         control_dt: Control period (s); the task's by default.
         feet: Bodies that may touch the ground, as ``robot.feet``.
@@ -90,15 +91,18 @@ def ask(
         RobotError: If the robot cannot be used.
     """
     if isinstance(robot, (str, Path)):
-        chosen = [f"reward={reward}"] if isinstance(reward, str) else []
+        named = {"task": task, "reward": reward}
+        chosen = [f"{group}={name}" for group, name in named.items() if isinstance(name, str)]
         about, own, paid = _composed(str(robot), (*chosen, *overrides))
     else:
         if overrides:
             raise ConfigError(f"overrides must be empty for a robot that is no name or file, got {list(overrides)}.")
         if isinstance(reward, str):
             raise ConfigError(f"reward must be a Reward for a robot that is no name or file, got {reward!r}.")
+        if isinstance(task, str):
+            raise ConfigError(f"task must be TaskSettings for a robot that is no name or file, got {task!r}.")
         about, own, paid = _in_memory(robot), WalkSettings(), Reward()
-    asked = own if task is None else task
+    asked = own if task is None or isinstance(task, str) else task
     check_kind("task", asked, TaskSettings)
     changes: dict[str, Any] = {"history": history, "control_dt": control_dt}
     if terminations is not None:
@@ -111,7 +115,8 @@ def ask(
     if forward is not None:
         about = replace(about, forward=forward)
     # None, and not the paper's, so that a library's task may bring its own.
-    return replace(asked, **given).build(about, paid if isinstance(reward, str) else reward)
+    by_name = isinstance(reward, str) or (reward is None and isinstance(task, str))
+    return replace(asked, **given).build(about, paid if by_name else cast("Reward | None", reward))
 
 
 def ask_simulated(robot: AnyRobot | SimulatedTask, **asked: Any) -> SimulatedTask:  # noqa: ANN401 - of `ask`

@@ -12,6 +12,7 @@ from gctd3.envs.robots_env import Glance, RobotsEnv, column, ends
 from gctd3.envs.simulation import Simulation
 from gctd3.tasks.terminations import STEPS
 from gctd3.tasks.terms import hips
+from gctd3.tasks.velocity_command import VELOCITY, velocities
 
 
 class BatchedEnv(RobotsEnv):
@@ -33,7 +34,7 @@ class BatchedEnv(RobotsEnv):
         simulation = self.simulation
         return {
             "nodes": torch.from_numpy(simulation.task.node_features(simulation.now, simulation.memory)),
-            "counters": torch.from_numpy(simulation.task.counters(simulation.memory)),
+            "counters": torch.from_numpy(simulation.task.counters(simulation.memory, simulation.now)),
             "position": column(simulation.now.position.astype(np.float32)),
             "success": column(success),
             "diverged": column(diverged),
@@ -64,7 +65,9 @@ class BatchedEnv(RobotsEnv):
     def glance(self) -> Glance:
         """Return the present measurements of the robots."""
         now, facts = self.simulation.now, self.simulation.task.facts
-        return Glance(now.height, hips(now, facts) * facts.hip_signs, now.feet_down)
+        command = self.simulation.memory.get(VELOCITY)
+        moved = None if command is None else velocities(now, facts)
+        return Glance(now.height, hips(now, facts) * facts.hip_signs, now.feet_down, command, moved)
 
     def checkpoint(self) -> dict[str, Any]:
         """Return the simulation's state."""

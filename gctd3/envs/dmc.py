@@ -51,7 +51,7 @@ class DMTask(base.Task):
         super().__init__(random=random)
         self.task = task
         self._now: Measurement
-        self._memory: Memory
+        self._memory: Memory = {}
         self._outcome: Outcome | None = None
 
     def initialize_episode(self, physics: Physics) -> None:
@@ -64,7 +64,7 @@ class DMTask(base.Task):
         """Begin an episode in the state that the physics has now."""
         physics.forward()
         self._now = physics.measure(self.task)
-        self._memory = self.task.begin(self._now, self.random)
+        self._memory = self.task.begin(self._now, self.random, self._memory or None)
         self._outcome = None
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
@@ -92,7 +92,7 @@ class DMTask(base.Task):
         won = self._outcome is not None and bool(self._outcome.success)
         return collections.OrderedDict(
             nodes=self.task.node_features(self._now, self._memory),
-            counters=self.task.counters(self._memory),
+            counters=self.task.counters(self._memory, self._now),
             position=np.array([self._now.position], dtype=np.float32),
             success=np.array([won]),
             diverged=np.array([self._outcome is not None and bool(self._outcome.diverged)]),

@@ -1,7 +1,11 @@
-"""The walking task for Gymnasium: ``import gctd3; gymnasium.make("gctd3/Biped-v0")``, and ``gymnasium.make_vec``."""
+"""Simulated tasks for Gymnasium: ``import gctd3; gymnasium.make("gctd3/Biped-v0")``, and ``gymnasium.make_vec``.
+
+``gctd3/Biped-v0`` is the walking task, ``gctd3/Velocity-v0`` the task of following a commanded velocity.
+"""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 import gymnasium
@@ -14,8 +18,11 @@ from gctd3.envs.asked import AnyRobot, ask_simulated
 from gctd3.envs.simulation import Simulation
 from gctd3.errors import ConfigError, suggest
 from gctd3.tasks.reward import Reward
+from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.tasks.task import TaskSettings
 from gctd3.tasks.terminations import TimeLimit
+from gctd3.tasks.velocity import VelocitySettings, VelocityTask
+from gctd3.tasks.velocity_command import NAME, VELOCITY, velocities
 
 OPTIONS = ("control_dt", "feet", "forward", "terminations", "overrides")  # besides an environment's own arguments
 
@@ -48,7 +55,7 @@ class BipedVectorEnv(VectorEnv):
         history: Number of frames stacked into an observation; the task's by default.
         reward: The reward, or the name of an option of ``reward=``; the paper's by default.
         threads: Threads of the simulation; all cores if ``None``.
-        task: The settings of the task; the robot's own by default.
+        task: The settings of the task, or the name of an option of ``task=``; the robot's own by default.
         max_episode_steps: Control steps after which an episode is truncated, besides the task's own time limit.
         observation: ``flat`` for the nodes' features side by side, ``nodes`` for a row for each node.
         autoreset_mode: ``NEXT_STEP`` or ``DISABLED``, of Gymnasium's :class:`~gymnasium.vector.AutoresetMode`.
@@ -72,7 +79,7 @@ class BipedVectorEnv(VectorEnv):
         history: int | None = None,
         reward: Reward | str | None = None,
         threads: int | None = None,
-        task: TaskSettings | None = None,
+        task: TaskSettings | str | None = None,
         max_episode_steps: int | None = None,
         observation: Shape = "flat",
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
@@ -87,7 +94,7 @@ class BipedVectorEnv(VectorEnv):
             asked["terminations"] = {**(asked.get("terminations") or {}), **limit}
         if unknown := [name for name in asked if name not in OPTIONS]:
             raise ConfigError(f"Unknown argument {unknown[0]!r}.{suggest(unknown[0], OPTIONS)} {', '.join(OPTIONS)}.")
-        one = ask_simulated(robot, task=task, reward=reward, history=history, **asked)
+        one = self._build(robot, task=task, reward=reward, history=history, **asked)
         history = one.history
         self.simulation = Simulation(one, num_envs, threads=threads)
         self.num_envs, self.graph = num_envs, one.graph
@@ -99,6 +106,9 @@ class BipedVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._stack: np.ndarray = np.zeros((num_envs, *nodes), dtype=np.float32)
         self._ended = np.zeros(num_envs, dtype=bool)
+
+    def _build(self, robot: AnyRobot, **asked: Any) -> SimulatedTask:  # noqa: ANN401 - of `ask`
+        return ask_simulated(robot, **asked)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -161,6 +171,52 @@ class BipedVectorEnv(VectorEnv):
         self._stack = np.where(mask[:, None, None], repeated, self._stack)
 
 
+class VelocityVectorEnv(BipedVectorEnv):
+    """Step N robots that follow commanded velocities, as a Gymnasium vector environment.
+
+    Info holds ``command`` and ``moved`` too: the commanded velocity forward, to the left and turning, and the robot's,
+    each ``[num_envs, 3]`` (m/s, m/s, rad/s).
+
+    Args:
+        num_envs: Number of robots simulated side by side.
+        robot: As for :class:`BipedVectorEnv`.
+        curriculum: Whether commands begin straight ahead and their box widens; ``False`` for the whole box, as in
+            evaluations.
+        settings: Other arguments of :class:`BipedVectorEnv`, but for ``task``; the reward is by default that of
+            ``task=velocity``, as the robot's own settings change it.
+
+    Raises:
+        ConfigError: If an argument is wrong.
+        RobotError: If the robot cannot be used.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        robot: AnyRobot = "quadruped",
+        curriculum: bool = True,
+        **settings: Any,  # noqa: ANN401 - of `BipedVectorEnv`
+    ) -> None:
+        self._curriculum = curriculum
+        super().__init__(num_envs, robot, **settings)
+
+    def _build(self, robot: AnyRobot, **asked: Any) -> SimulatedTask:  # noqa: ANN401 - of `ask`
+        if asked["task"] is None:
+            asked["task"] = NAME if isinstance(robot, (str, Path)) else VelocitySettings()
+        one = super()._build(robot, **asked)
+        if not isinstance(one, VelocityTask):
+            raise ConfigError(f"task must be one of commanded velocities, got {one.name!r}.")
+        return one if self._curriculum else one.evaluated(one.reward)
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Take one control step of every robot, or start a new episode where the last one ended; see the base class."""
+        observation, reward, terminated, truncated, info = super().step(actions)
+        simulation = self.simulation
+        info["command"] = simulation.memory[VELOCITY].copy()
+        info["moved"] = np.asarray(velocities(simulation.now, simulation.task.facts))
+        return observation, reward, terminated, truncated, info
+
+
 class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """Provide one robot as a Gymnasium environment; see :class:`BipedVectorEnv` for observation, action and info.
 
@@ -168,7 +224,7 @@ class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         robot: What ``robot=`` of the command line takes, or a robot or a model in memory; see :func:`.ask`.
         history: Number of frames stacked into an observation; the task's by default.
         reward: The reward, or the name of an option of ``reward=``; the paper's by default.
-        task: The settings of the task; the robot's own by default.
+        task: The settings of the task, or the name of an option of ``task=``; the robot's own by default.
         observation: ``flat`` for the nodes' features side by side, ``nodes`` for a row for each node.
         asked: Other arguments of :func:`.ask`: ``control_dt``, ``feet``, ``forward``, ``terminations``, ``overrides``.
 
@@ -183,12 +239,14 @@ class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         robot: AnyRobot = "biped",
         history: int | None = None,
         reward: Reward | str | None = None,
-        task: TaskSettings | None = None,
+        task: TaskSettings | str | None = None,
         observation: Shape = "flat",
         **asked: Any,  # noqa: ANN401 - of `ask`
     ) -> None:
-        self._one = BipedVectorEnv(1, robot, history, reward, 1, task, observation=observation, **asked)
-        self.graph = self._one.graph
+        self._wrap(BipedVectorEnv(1, robot, history, reward, 1, task, observation=observation, **asked))
+
+    def _wrap(self, one: BipedVectorEnv) -> None:
+        self._one, self.graph = one, one.graph
         self.observation_space = self._one.single_observation_space
         self.action_space = self._one.single_action_space
 
@@ -203,5 +261,17 @@ class BipedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Take one control step, or start a new episode where the last one ended."""
         observation, reward, terminated, truncated, info = self._one.step(np.asarray(action)[None])
-        scalars = {name: value[0].item() for name, value in info.items()}
+        scalars = {name: value[0].item() if value.ndim == 1 else value[0] for name, value in info.items()}
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), scalars
+
+
+class VelocityEnv(BipedEnv):
+    """Provide one robot that follows commanded velocities; see :class:`VelocityVectorEnv` for arguments and info."""
+
+    def __init__(
+        self,
+        robot: AnyRobot = "quadruped",
+        curriculum: bool = True,
+        **settings: Any,  # noqa: ANN401 - of `BipedVectorEnv`
+    ) -> None:
+        self._wrap(VelocityVectorEnv(1, robot, curriculum, threads=1, **settings))

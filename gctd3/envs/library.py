@@ -79,6 +79,10 @@ class LibraryTask:
             )
         return Reflection.from_robot(self.robot)
 
+    def evaluated(self, reward: Reward) -> LibraryTask:
+        """Return the task as it is, see :meth:`with_reward`."""
+        return self.with_reward(reward)
+
     def with_reward(self, reward: Reward) -> LibraryTask:
         """Return the task as it is: it brings its own reward.
 

@@ -21,11 +21,16 @@ class Glance:
         height: Body height from standing, shape ``[N]`` (m).
         hips: Hip angles, one per leg, with the sign of the first hip of a mirrored pair, shape ``[N, feet]`` (rad).
         feet_down: Whether each foot touches the ground, shape ``[N, feet]``.
+        command: Commanded velocity forward, to the left and turning, shape ``[N, 3]`` (m/s, m/s, rad/s); ``None`` for a
+            task without it.
+        moved: The robot's velocities of the same kind, shape ``[N, 3]``; ``None`` for a task without commands.
     """
 
     height: np.ndarray
     hips: np.ndarray
     feet_down: np.ndarray
+    command: np.ndarray | None = None
+    moved: np.ndarray | None = None
 
 
 class RobotsEnv(EnvBase):

@@ -10,7 +10,9 @@ import numpy as np
 
 from gctd3.errors import ConfigError, NumericalError, RobotError
 from gctd3.robots.actuators import rest_servos
+from gctd3.robots.altered import velocity_change
 from gctd3.robots.robot import Robot
+from gctd3.tasks.domain_randomisation import MODEL, build_models
 from gctd3.tasks.measurement import Measurement, put_rows
 from gctd3.tasks.memory import Memory
 from gctd3.tasks.outcome import Outcome
@@ -58,7 +60,10 @@ class Simulation:
         self._states = np.empty((num_robots, self.substeps, self.state.shape[1]))
         self._sensors = np.empty((num_robots, self.substeps, self.model.nsensordata))
         self._before = self.state
-        self._models = [self.model] * num_robots
+        self._variants = [self.model]
+        if task.domain is not None:
+            # Drawn by a separate generator, so that starts and commands are the same ones without it.
+            self._alter(task.domain.settings.draw_models(np.random.default_rng([seed, 1])))
         self._data = [mujoco.MjData(self.model) for _ in range(self.threads)]
         # A pool of one thread only adds a hand-over; without a pool the calling thread steps.
         from mujoco.rollout import Rollout  # late: it runs MuJoCo's code, which settings do without
@@ -80,6 +85,11 @@ class Simulation:
         """Return the generalised velocities, shape ``[N, nv]``."""
         return self.state[:, self._qvel]
 
+    def _alter(self, numbers: np.ndarray) -> None:
+        self._numbers = numbers
+        domain = self.task.domain
+        self._variants = build_models(self.task.robot, numbers) if domain and domain.settings.alters else [self.model]
+
     def reset(self, mask: np.ndarray) -> None:
         """Start a new episode for the robots where ``mask`` (bool ``[N]``) holds."""
         robots = np.flatnonzero(mask)
@@ -99,7 +109,8 @@ class Simulation:
             sensors[i] = data.sensordata
         fresh = task.measure(self.state[robots, self._qpos], self.state[robots, self._qvel], sensors)
         self.now = self.now.put(robots, fresh)
-        self.memory = put_rows(self.memory, robots, task.begin(fresh, self.rng))
+        last = {name: self.memory[name][robots] for name in task.memory.lasting}
+        self.memory = put_rows(self.memory, robots, task.begin(fresh, self.rng, last))
 
     def step(self, action: np.ndarray) -> Outcome:
         """Take one control step of every robot; ``action [N, A]`` in [-1, 1] asks for :meth:`.Robot.desired_angles`.
@@ -115,12 +126,13 @@ class Simulation:
                 f"Actions must be finite, got {action[robot, index]} for actuator {index} of robot {robot}: "
                 "the policy that chose it has diverged"
             )
-        control = np.repeat(self.desired(action)[:, None, :], self.substeps, axis=1)
+        models, desired = self._disturb(action)
+        control = np.repeat(desired[:, None, :], self.substeps, axis=1)
         before, self.state = self.state, self._states[:, -1]
         self._before = before
         # Shapes and types are right by construction; to check them again takes as long as to step a robot.
         into = {"state": self._states, "sensordata": self._sensors, "nstep": self.substeps, "skip_checks": True}
-        self._pool.rollout(self._models, self._data, before, control, **into)
+        self._pool.rollout(models, self._data, before, control, **into)
         # MuJoCo starts a robot anew whose state is not finite, its clock too.
         late = before[:, 0] + self.task.control_dt - self.state[:, 0]
         diverged = ~(np.abs(late) < self.model.opt.timestep / 2) | ~np.isfinite(self.state).all(axis=-1)
@@ -130,6 +142,20 @@ class Simulation:
         self.now = now.put(robots, self.now.take(robots)) if len(robots) else now
         self.memory, outcome = self.task.advance(self.memory, self.now, action, diverged, self.rng)
         return outcome
+
+    def _disturb(self, action: np.ndarray) -> tuple[list[mujoco.MjModel], np.ndarray]:
+        """Push the robots that are due; return each robot's model and the desired angles at its servos ``[N, A]``."""
+        domain, memory, robot = self.task.domain, self.memory, self.task.robot
+        if domain is None:
+            return [self.model] * self.num_robots, self.desired(action)
+        models = [self._variants[i] for i in memory[MODEL]]
+        for i in domain.pushed(memory):
+            model = models[i]
+            change = domain.draw_push(self.rng) @ robot.base.frame[:2] * model.body_subtreemass[robot.base.root]
+            self.state = self.state.copy()
+            self.qvel[i] += velocity_change(robot, self.qpos[i], change, model)
+        # A servo that measures an angle too large by a bias holds it too small by as much.
+        return models, self.desired(domain.applied(memory, action)) - domain.servo_bias(memory)
 
     def desired(self, action: np.ndarray) -> np.ndarray:
         """Return the desired joint angles of an action ``[*, A]``, shape ``[*, A]`` (rad)."""
@@ -149,6 +175,7 @@ class Simulation:
             "now": self.now.to_dict(),
             "memory": {name: np.array(values) for name, values in self.memory.items()},
             "rng": self.rng.bit_generator.state,
+            **({} if self.task.domain is None else {"models": self._numbers.copy()}),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -157,6 +184,8 @@ class Simulation:
         self.now = Measurement.from_dict(state["now"])
         self.memory = {name: np.array(values) for name, values in state["memory"].items()}
         self.rng.bit_generator.state = state["rng"]
+        if self.task.domain is not None and not np.array_equal(self._numbers, state["models"]):
+            self._alter(np.array(state["models"]))
 
 
 def substeps_of(control_dt: float, robot: Robot) -> int:

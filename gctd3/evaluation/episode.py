@@ -26,6 +26,10 @@ class Episode:
         success: Whether the robot reached the finish.
         pairs: Feet on the right and left that mirror each other.
         motion: The motion at the resolution of the physics, if it was recorded.
+        command: Commanded velocity when each step's action was chosen, forward, to the left and turning, shape
+            ``[T, 3]`` (m/s, m/s, rad/s); ``None`` for a task without commands.
+        moved: Velocities of the same kind after each step, shape ``[T, 3]``; ``None`` for a task without commands.
+        fell: Whether the episode terminated.
     """
 
     reward: np.ndarray
@@ -36,6 +40,9 @@ class Episode:
     success: bool
     pairs: tuple[tuple[int, int], ...] = ((0, 1),)
     motion: Motion | None = None
+    command: np.ndarray | None = None
+    moved: np.ndarray | None = None
+    fell: bool = False
 
     def velocity(self, dt: float) -> float:
         """Compute the mean velocity, distance over time (m/s)."""

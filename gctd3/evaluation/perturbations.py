@@ -2,66 +2,25 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
-import mujoco
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 
 from gctd3.envs.simulation import Simulation
-from gctd3.robots.mjcf import bodies_below
+from gctd3.robots.altered import altered as altered
+from gctd3.robots.altered import resting_action as at_rest
+from gctd3.robots.altered import velocity_change as velocity_change
 from gctd3.robots.robot import Robot
 from gctd3.tasks.simulated_task import SimulatedTask
 
 PolicyFunction = Callable[[TensorDictBase], TensorDictBase]
 
 
-def altered(robot: Robot, mass: float = 1.0, friction: float = 1.0) -> Robot:
-    """Return the robot with all its masses and inertias, and all friction of the model, scaled by a factor.
-
-    MuJoCo takes the larger friction of two surfaces in contact, so that of the ground changes with that of the soles.
-    """
-    model = copy.deepcopy(robot.model)
-    bodies = bodies_below(model, robot.base.root)
-    model.body_mass[bodies] *= mass
-    model.body_inertia[bodies] *= mass
-    model.geom_friction[:] *= friction
-    model.pair_friction[:] *= friction
-    # Recompute the constants that MuJoCo derives from the masses.
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    return replace(robot, model=model)
-
-
-def velocity_change(robot: Robot, qpos: np.ndarray, impulse: np.ndarray) -> np.ndarray:
-    """Compute the velocity change by an impulse at the root body's centre of mass: ``M(q)^-1 J(q)^T p``.
-
-    Args:
-        robot: The robot.
-        qpos: Its pose, shape ``[nq]``.
-        impulse: ``p`` in the world's axes, shape ``[3]`` (N s).
-
-    Returns:
-        Change of the generalised velocities, shape ``[nv]``.
-    """
-    model, data = robot.model, mujoco.MjData(robot.model)
-    data.qpos[:] = qpos
-    mujoco.mj_fwdPosition(model, data)
-    jacobian, change = np.zeros((3, model.nv)), np.zeros((1, model.nv))
-    mujoco.mj_jacBodyCom(model, data, jacobian, None, robot.base.root)
-    mujoco.mj_solveM(model, data, change, (jacobian.T @ impulse)[None])
-    return change[0]
-
-
 def resting_action(robot: Robot) -> torch.Tensor:
     """Return the action that commands the servos to the pose in which episodes begin, shape ``[A]``, in [-1, 1]."""
-    model = robot.model
-    angles = robot.start_qpos[model.jnt_qposadr[model.actuator_trnid[:, 0]]] * model.actuator_gear[:, 0]
-    centre, scale = robot.action_map
-    action = np.clip((angles - centre) / scale, -1.0, 1.0)
-    return torch.from_numpy(action.astype(np.float32))
+    return torch.from_numpy(at_rest(robot).astype(np.float32))
 
 
 class Delayed:
@@ -119,12 +78,12 @@ def sensor_deviation(task: SimulatedTask, angle: float, velocity: float, length:
 
     Args:
         task: The task, whose nodes observe features.
-        angle: Standard deviation for angles (rad).
+        angle: Standard deviation for angles, and for the direction of gravity (rad).
         velocity: Standard deviation for angular velocities (rad/s).
         length: Standard deviation for the body's height and its lateral position (m).
         speed: Standard deviation for the body's velocities (m/s).
     """
-    errors = {"angle": angle, "angular velocity": velocity, "length": length, "velocity": speed}
+    errors = {"angle": angle, "direction": angle, "angular velocity": velocity, "length": length, "velocity": speed}
     return torch.from_numpy(task.table.deviations(errors).astype(np.float32))
 
 

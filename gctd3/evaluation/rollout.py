@@ -14,6 +14,7 @@ from gctd3.data.finite import check_finite
 from gctd3.envs.robots_env import Glance
 from gctd3.evaluation.episode import Episode
 from gctd3.evaluation.recorder import Recorder
+from gctd3.evaluation.tracking import tracking_errors
 from gctd3.progress import StatusLine
 from gctd3.tasks.task import Task
 
@@ -46,6 +47,7 @@ class Evaluation:
             "distance_mean": float(np.mean([e.position[-1] for e in episodes])),
             "success_rate": float(np.mean([e.success for e in episodes])),
             "body_position_mean": float(np.mean(np.concatenate([e.height for e in episodes]))),
+            **tracking_errors(episodes, self.control_dt),
         }
 
     @property
@@ -87,11 +89,13 @@ def evaluate(
     alive = torch.ones(count, dtype=torch.bool)
     frames: list[tuple[torch.Tensor, ...]] = []
     glances: list[Glance] = []
+    terminated = torch.zeros(count, dtype=torch.bool)
     # TorchRL seeds the global generator along with the environment's: a fork keeps that out of the training.
     with torch.random.fork_rng(devices=[]), torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         env.set_seed(seed)
         state = env.reset()
         recorder = Recorder(robot, env.base_env.simulation) if record else None
+        commands = [env.base_env.glance().command]
         while alive.any():
             acting = policy(state)
             check_finite("action", acting["action"])
@@ -100,6 +104,8 @@ def evaluate(
                 recorder.add(acting["action"].numpy().astype(np.float64))
             after = state["next"]
             glances.append(env.base_env.glance())
+            commands.append(glances[-1].command)
+            terminated |= alive & after["terminated"][:, 0]
             frames.append((alive, after["reward"][:, 0], after["position"][:, 0], after["success"][:, 0]))
             alive = alive & ~after["done"][:, 0]
             if line is not None:
@@ -111,6 +117,9 @@ def evaluate(
     height = np.stack([glance.height for glance in glances]).astype(np.float32)
     hips = np.stack([glance.hips for glance in glances]).astype(np.float32).astype(np.float64)
     feet_down = np.stack([glance.feet_down for glance in glances])
+    # The command that was seen when the action was chosen: that before the step.
+    asked = _stacked(commands[:-1])
+    moved = _stacked([glance.moved for glance in glances])
     lengths = [int(steps) for steps in lived.sum(axis=0)]
     motions = recorder.motions(lengths) if recorder is not None else [None] * count
     episodes = []
@@ -125,6 +134,14 @@ def evaluate(
                 pairs=tuple((one, other) for one, other in enumerate(robot.mirror_feet) if one < other),
                 success=bool(success[:steps, i].any()),
                 motion=motions[i],
+                command=None if asked is None else asked[:steps, i],
+                moved=None if moved is None else moved[:steps, i],
+                fell=bool(terminated[i]),
             )
         )
     return Evaluation(episodes, task.control_dt)
+
+
+def _stacked(values: list[np.ndarray | None]) -> np.ndarray | None:
+    known = [value for value in values if value is not None]
+    return np.stack(known) if known else None

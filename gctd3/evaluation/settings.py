@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from gctd3.errors import ConfigError, check_between, check_seed
+
+SETTLE = 1.0  # after a new command, which is not counted (s)
+AXES = ("forward", "side", "turn")  # of a commanded velocity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,3 +78,54 @@ class Perturbations:
             raise ConfigError(f"delays must hold whole numbers from 1 to 1,000, got {list(self.delays)}.")
         if not self.recover > 0:
             raise ConfigError(f"recover must be above 0 s, got {self.recover}.")
+
+
+@dataclass(frozen=True)
+class CommandGrid:
+    """Set the commands that a policy is tested with: every combination, and standing still.
+
+    Attributes:
+        forward: Velocities forward (m/s): a number of them, evenly spaced over the range of the training, or a list.
+        side: Velocities to the left (m/s), in the same way.
+        turn: Yaw rates (rad/s), in the same way.
+        starts: Episodes of each command, each from its own start.
+        seconds: Time for which a command is held (s).
+    """
+
+    forward: int | Sequence[float] = 5
+    side: int | Sequence[float] = 3
+    turn: int | Sequence[float] = 3
+    starts: int = 2
+    seconds: float = 8.0
+
+    def __post_init__(self) -> None:
+        for name in AXES:
+            value = getattr(self, name)
+            if isinstance(value, int):
+                check_between(self, 1, 100, name)
+            elif not value:
+                raise ConfigError(f"{name} must be a number of velocities, or a list of them, got {list(value)}.")
+        check_between(self, 1, 1000, "starts")
+        if not SETTLE < self.seconds <= 1000:
+            raise ConfigError(
+                f"seconds must be above {SETTLE:g}, the time that a robot has to settle, and at most 1000, got "
+                f"{self.seconds}."
+            )
+
+    def commands(self, box: np.ndarray) -> np.ndarray:
+        """Return every combination, and standing still, shape ``[K, 3]`` (m/s, m/s, rad/s).
+
+        Args:
+            box: Lowest and highest velocities of the training, over which numbers of them are spaced, shape ``[3, 2]``.
+        """
+        columns = []
+        for name, (low, high) in zip(AXES, box, strict=True):
+            asked = getattr(self, name)
+            if not isinstance(asked, int):
+                columns.append(np.asarray(asked, dtype=np.float64))
+            else:
+                columns.append(np.unique(np.linspace(low, high, asked) if asked > 1 else [(low + high) / 2]))
+        rows = np.stack(np.meshgrid(*columns, indexing="ij"), axis=-1).reshape(-1, 3)
+        # A grid of an odd number of velocities may have it already.
+        rows[np.abs(rows) < 1e-12] = 0.0
+        return rows if (rows == 0).all(axis=1).any() else np.concatenate([np.zeros((1, 3)), rows])

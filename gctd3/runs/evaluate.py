@@ -15,6 +15,7 @@ import numpy as np
 
 from gctd3.envs.factory import build_env
 from gctd3.errors import RunError
+from gctd3.evaluation.command_grid import examine
 from gctd3.evaluation.episode import LAST_METRES, Episode
 from gctd3.evaluation.quantities import quantity
 from gctd3.evaluation.robustness import Examination
@@ -31,6 +32,7 @@ PAPERS_ROBOT = "biped"
 PAPER = {"return_mean": 380.0, "return_std": 18.47, "velocity_mean": 1.414, "body_position_mean": -0.0202}
 EVALUATION, TRACE = "evaluation.json", "trace.csv"
 ROBUSTNESS, ROBUSTNESS_PICTURE = "robustness.json", "robustness.png"
+COMMANDS, COMMANDS_PICTURE = "commands.json", "commands.png"
 
 
 def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
@@ -108,9 +110,11 @@ def measure_run(settings: EvaluateSettings) -> tuple[dict[str, object], str | No
     run = load_run(settings.run)
     if settings.robustness:
         check_able(run.setup.task, "robustness", run.directory)
+    if settings.commands:
+        check_able(run.setup.task, "commands", run.directory)
     policy = run.policy()
     reward = settings.reward or run.settings.evaluation.reward
-    task = run.setup.task.with_reward(reward)
+    task = run.setup.task.evaluated(reward)
     env = build_env(task, run.settings.env.for_evaluation(settings.episodes, settings.threads), settings.seed)
     walks, dt = "film" in task.abilities, task.control_dt
     with StatusLine() as line:
@@ -168,6 +172,43 @@ def write_robustness(folder: Path | None, results: dict[str, Any]) -> None:
             robustness_plot.save(results, aside)
 
 
+def command_run(settings: EvaluateSettings) -> dict[str, Any]:
+    """Test a run's best policy with a grid of commands, and write nothing.
+
+    Args:
+        settings: The settings, as for :func:`evaluate_run`.
+
+    Returns:
+        The results, see :func:`.command_grid.examine`.
+
+    Raises:
+        RunError: If it is not a run, or not one of commanded velocities.
+    """
+    from gctd3.runs.load import load_run
+    from gctd3.training.checkpoint import versions
+
+    run = load_run(settings.run)
+    task = run.task("commands")
+    env = run.settings.env.for_evaluation(settings.episodes, settings.threads)
+    return {**examine(run.policy(), task, env, settings.seed, settings.grid), "versions": versions()}
+
+
+def write_commands(folder: Path | None, results: dict[str, Any]) -> None:
+    """Write the results of :func:`command_run` to a folder, if one is given; with matplotlib a picture too.
+
+    Raises:
+        OSError: If they cannot be written.
+    """
+    if folder is None:
+        return
+    write_text(folder / COMMANDS, json.dumps(results, indent=1) + "\n")
+    if find_spec("matplotlib") is not None:
+        from gctd3.viz import command_plot
+
+        with new_file(folder / COMMANDS_PICTURE) as aside:
+            command_plot.save(results, aside)
+
+
 def trace(episode: Episode, robot: Robot, dt: float) -> str:
     """Format the recorded motion of an episode as CSV, a row for each control step, units in the head.
 
@@ -199,18 +240,27 @@ def table(report: dict[str, object]) -> str:
     # The robot of a library's task may be fixed where it is.
     if walk or report["distance_mean"]:
         rows += [("velocity, m/s", "velocity_mean", "{:.3f}", None), ("distance, m", "distance_mean", "{:.2f}", None)]
-    if walk:
+    if "error_forward" in report:
+        rows += [
+            ("error forward, m/s", "error_forward", "{:.3f}", None),
+            ("error to the side, m/s", "error_side", "{:.3f}", None),
+            ("error of the yaw rate, rad/s", "error_turn", "{:.3f}", None),
+            ("share of falls", "fall_rate", "{:.2f}", None),
+        ]
+    elif walk:
         rows += [
             ("success rate", "success_rate", "{:.2f}", None),
             ("body position, m from standing", "body_position_mean", "{:.4f}", None),
         ]
     # The paper has no numbers for a library's task, nor for another robot than its biped.
-    compared = walk and report.get("robot", PAPERS_ROBOT) == PAPERS_ROBOT
+    compared = walk and "error_forward" not in report and report.get("robot", PAPERS_ROBOT) == PAPERS_ROBOT
     lines = [f"{'':34}{'this policy':>18}" + (f"{'paper, GCTD3':>18}" if compared else "")]
 
     def cell(values: dict[str, object], key: str, form: str, spread: str | None) -> str:
         if key not in values:
             return "-"
+        if values[key] is None:
+            return "undefined"
         text = form.format(values[key])
         return f"{text} ± {form.format(values[spread])}" if spread else text
 

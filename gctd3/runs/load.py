@@ -48,7 +48,7 @@ class LoadedRun:
             RunError: If the task does not have the ability.
         """
         check_able(self.setup.task, ability, self.directory)
-        task: Any = self.setup.task.with_reward(reward or self.settings.evaluation.reward)
+        task: Any = self.setup.task.evaluated(reward or self.settings.evaluation.reward)
         copy = OwnCopy.read(self.directory) if ability == "film" else None
         # The copy has no visual meshes.
         return task if copy is None else task.on(copy.drawn(self.setup.robot, self.settings.robot))

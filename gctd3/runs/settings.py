@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from gctd3.errors import ConfigError, check_between, check_seed
-from gctd3.evaluation.settings import EpisodeSettings, Perturbations
+from gctd3.evaluation.settings import CommandGrid, EpisodeSettings, Perturbations
 from gctd3.tasks.reward import Reward
 from gctd3.viz.hosts import HOST
 
@@ -26,6 +26,8 @@ class EvaluateSettings(EpisodeSettings):
             given.
         robustness: Test robustness too: to pushes, other masses and floors, delayed actions, noise.
         perturbations: Perturbations of the robustness test, and their magnitudes.
+        commands: Test a policy of task=velocity with a grid of commanded velocities too, one held in each episode.
+        grid: The grid.
     """
 
     run: str | None = None
@@ -33,6 +35,8 @@ class EvaluateSettings(EpisodeSettings):
     out: str | None = None
     robustness: bool = False
     perturbations: Perturbations = field(default_factory=Perturbations)
+    commands: bool = False
+    grid: CommandGrid = field(default_factory=CommandGrid)
 
     @property
     def folder(self) -> Path | None:

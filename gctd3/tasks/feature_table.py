@@ -25,6 +25,7 @@ class FeatureTable:
         features: Features by name, in order.
         robot: The robot.
         graph: The robot's graph, of which only the nodes are used.
+        key: Key of the features, for messages.
 
     Attributes:
         width: ``F``, features of a node in one frame.
@@ -35,15 +36,17 @@ class FeatureTable:
             has a feature.
     """
 
-    def __init__(self, features: Mapping[str, NodeFeature], robot: Robot, graph: KinematicGraph) -> None:
-        self.graph, self.robot = graph, robot
+    def __init__(
+        self, features: Mapping[str, NodeFeature], robot: Robot, graph: KinematicGraph, key: str = "task.features"
+    ) -> None:
+        self.graph, self.robot, self.key = graph, robot, key
         kinds = [kind if kind in KINDS else "joint" for kind in graph.kinds]
         filled = dict.fromkeys(KINDS, 0)
         self._placed: list[tuple[str, NodeFeature, list[int], int, int]] = []
         rows: list[list[Reading | None]] = [[] for _ in kinds]
         owners: dict[str, str] = {}
         for name, feature in features.items():
-            where, asked = f"task.features.{name}", getattr(feature, "kind", None)
+            where, asked = f"{key}.{name}", getattr(feature, "kind", None)
             if asked not in KINDS:
                 raise ConfigError(f"{where}: there are no nodes of kind {asked!r}; kinds: {', '.join(KINDS)}.")
             nodes = [i for i, kind in enumerate(kinds) if kind == asked]
@@ -56,17 +59,18 @@ class FeatureTable:
             self._placed.append((name, feature, nodes, start, width))
             for node, row in zip(nodes, readings, strict=True):
                 rows[node] += row
-                _own(name, row, owners)
+                _own(where, row, owners)
         self.width = max(map(len, rows))
         if not self.width:
-            raise ConfigError("task.features must hold at least one feature that a node of the robot has, got none.")
+            raise ConfigError(f"{key} must hold at least one feature that a node of the robot has, got none.")
         self.readings = [row + [None] * (self.width - len(row)) for row in rows]
+        self._read = np.flatnonzero([one is not None for row in self.readings for one in row])
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """Return the features of every node in one frame (section 2.3), ``float32 [*, N, F]``."""
         numbers = np.zeros((*sensed.now.position.shape, self.graph.num_nodes, self.width), dtype=np.float32)
         for name, feature, nodes, start, width in self._placed:
-            values = called(f"task.features.{name}", feature, sensed)
+            values = called(f"{self.key}.{name}", feature, sensed)
             # Nodes of a kind follow one another.
             numbers[..., nodes[0] : nodes[-1] + 1, start : start + width] = values
         return numbers
@@ -83,14 +87,26 @@ class FeatureTable:
                     return node, number
         raise KeyError(reading)
 
+    def flat(self, sensed: Sensed) -> np.ndarray:
+        """Return the numbers with a reading, node after node, ``float32 [*, K]``."""
+        values = self(sensed)
+        return values.reshape(*values.shape[:-2], -1)[..., self._read]
+
+    def flat_reflection(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return source and sign, each ``[K]``: ``sign * flat[..., source]`` is the mirrored robot's :meth:`flat`."""
+        source, sign = self.reflection()
+        place = np.full(len(source), -1)
+        place[self._read] = np.arange(len(self._read))
+        return place[source[self._read]], sign[self._read]
+
     def check(self, sensed: Sensed) -> None:
         """Raise a :class:`.ConfigError` unless every feature returns finite numbers of the declared shape."""
         for name, feature, nodes, _, width in self._placed:
-            values = np.asarray(reading(f"task.features.{name}", feature, sensed.memory, sensed))
+            values = np.asarray(reading(f"{self.key}.{name}", feature, sensed.memory, sensed))
             expected = (*sensed.now.position.shape, len(nodes), width)
             if values.shape != expected or not np.isfinite(values).all():
                 raise ConfigError(
-                    f"task.features.{name} must return finite numbers of shape {list(expected)}, got "
+                    f"{self.key}.{name} must return finite numbers of shape {list(expected)}, got "
                     f"{list(values.shape)} {values.dtype}."
                 )
 
@@ -108,6 +124,18 @@ class FeatureTable:
             for k, one in enumerate(row):
                 sign[i, k] = 1.0 if one is None else one.sign
         return source.reshape(-1), sign.reshape(-1)
+
+    def encoders(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Locate the joints' angles: node, number and index among ``robot.joints`` of each, integers ``[K]``."""
+        names = {joint.name: i for i, joint in enumerate(self.robot.joints)}
+        found = [
+            (node, number, names[name])
+            for node, name in enumerate(self.graph.nodes)
+            for number, one in enumerate(self.readings[node])
+            if one is not None and one.quantity == "angle" and name in names
+        ]
+        node, number, joint = np.array(found, dtype=np.int64).reshape(-1, 3).T
+        return node, number, joint
 
     def deviations(self, errors: Mapping[str, float]) -> np.ndarray:
         """Return the standard deviation of each number's error in a frame, shape ``[N, F]``.
@@ -138,7 +166,7 @@ def _own(feature: str, row: Sequence[Reading | None], owners: dict[str, str]) ->
     for one in row:
         if one is not None and one.name in owners:
             raise ConfigError(
-                f"task.features.{feature} has a reading {one.name!r}, and so has task.features.{owners[one.name]}: "
+                f"{feature} has a reading {one.name!r}, and so has {owners[one.name]}: "
                 "each reading needs a name of its own."
             )
         if one is not None:

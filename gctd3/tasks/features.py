@@ -21,7 +21,7 @@ from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.sensors import Source
 from gctd3.tasks.terms import Remembered, RobotFacts
 
-Quantity = Literal["angle", "angular velocity", "length", "velocity", "contact", "command"]
+Quantity = Literal["angle", "angular velocity", "length", "velocity", "contact", "command", "direction", "action"]
 QUANTITIES: tuple[str, ...] = get_args(Quantity)
 KINDS = ("root", "base", "joint", "ground")  # of nodes
 

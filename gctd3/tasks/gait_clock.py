@@ -14,6 +14,7 @@ from gctd3.robots.robot import Robot
 from gctd3.tasks.features import NodeFeature, Reading, Sensed
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.terms import Array, Remembered, RewardTerm, RobotFacts, Step
+from gctd3.tasks.velocity_command import VELOCITY
 
 PHASES = "foot_phases"  # name of the remembered phases of the feet, shape [*, feet] (periods)
 
@@ -120,7 +121,7 @@ class GaitSchedule(RewardTerm):
     """Penalise feet that are down when the clock lets them swing, or up when it lets them stand.
 
     ``weight`` times the share of such feet, after Siekmann et al. 2021 (arXiv:2011.01387); the task needs a
-    :class:`GaitClock`.
+    :class:`GaitClock`. A robot that is commanded to stand (:class:`.VelocityCommand`) may keep all feet down.
 
     Attributes:
         margin: Share of a period before and after each change in which a foot may be up or down.
@@ -139,5 +140,6 @@ class GaitSchedule(RewardTerm):
         phases = step.after[PHASES]
         swing = (phases > self.margin) & (phases < 0.5 - self.margin)
         stance = (phases > 0.5 + self.margin) & (phases < 1.0 - self.margin)
-        off = (swing & down) | (stance & ~down)
+        moves = xp.any(step.before[VELOCITY] != 0.0, axis=-1)[..., None] if VELOCITY in step.before else True
+        off = (swing & down & moves) | (stance & ~down)
         return self.weight * xp.mean(xp.astype(off, step.now.velocity.dtype), axis=-1)

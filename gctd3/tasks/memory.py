@@ -8,10 +8,11 @@ from typing import Protocol
 import numpy as np
 
 from gctd3.errors import ConfigError
+from gctd3.tasks.domain_randomisation import Domain
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.term_checks import called, reading
 from gctd3.tasks.terminations import STEPS
-from gctd3.tasks.terms import Command, Remembered, RobotFacts, Step
+from gctd3.tasks.terms import Command, Remembered, RobotFacts, Step, period
 
 Memory = dict[str, np.ndarray]  # by name; every array is overwritten by the next, none changes in place
 Generator = np.random.Generator | np.random.RandomState
@@ -32,29 +33,44 @@ class EpisodeMemory:
         terms: Terms and features whose arrays are remembered, by a name for messages.
         commands: Commands by name.
         facts: Facts of the robot.
+        domain: Differences between robots, if there are any.
 
     Raises:
         ConfigError: If two terms remember different arrays by one name.
     """
 
-    def __init__(self, terms: Mapping[str, Remembering], commands: Mapping[str, Command], facts: RobotFacts) -> None:
-        self.commands, self.facts = commands, facts
+    def __init__(
+        self,
+        terms: Mapping[str, Remembering],
+        commands: Mapping[str, Command],
+        facts: RobotFacts,
+        domain: Domain | None = None,
+    ) -> None:
+        self.commands, self.facts, self.domain = commands, facts, domain
         requests: dict[str, tuple[str, Remembered]] = {}
-        for where, term in terms.items():
+        for where, term in {**terms, **{f"task.commands.{name}": one for name, one in commands.items()}}.items():
             for one in called(where, term.remembers):
                 asked, known = requests.setdefault(one.name, (where, one))
                 if known != one or one.name == STEPS or one.name.startswith(COMMAND):
                     raise ConfigError(f"{where} and {asked} remember different things by the name {one.name!r}.")
         self.remembered = {name: one for name, (_, one) in requests.items()}
         self.asked = {name: where for name, (where, _) in requests.items()}
+        self.lasting = [name for name, one in self.remembered.items() if one.lasting]
 
-    def begin(self, now: Measurement, rng: Generator | None = None) -> Memory:
+    def begin(
+        self, now: Measurement, rng: Generator | None = None, last: Mapping[str, np.ndarray] | None = None
+    ) -> Memory:
         """Return the memory at the start of an episode; see :meth:`.SimulatedTask.begin`."""
         memory = {STEPS: np.zeros(now.position.shape, dtype=np.int64)}
         for name, one in self.remembered.items():
-            memory[name] = np.asarray(called(self.asked[name], one.begin, now, self.facts))
+            if last is not None and one.lasting:
+                memory[name] = last[name]
+            else:
+                memory[name] = np.asarray(called(self.asked[name], one.begin, now, self.facts))
         for name, command in self.commands.items():
-            memory |= self._drawn(name, command, now.position.shape, rng)
+            memory |= self._drawn(name, command, now.position.shape, rng, memory)
+        if self.domain is not None:
+            memory |= self.domain.begin(now.position.shape, _generator(rng))
         return memory
 
     def advance(self, step: Step, rng: Generator | None = None) -> Memory:
@@ -63,7 +79,9 @@ class EpisodeMemory:
         after = {STEPS: before[STEPS] + 1}
         after |= {n: called(self.asked[n], one.update, before[n], step) for n, one in self.remembered.items()}
         for name, command in self.commands.items():
-            after |= self._next(name, command, before, rng)
+            after |= self._next(name, command, before, rng, after)
+        if self.domain is not None:
+            after |= self.domain.advance(before, step.action, _generator(rng))
         return after
 
     def check(self, first: Memory, step: Step) -> None:
@@ -83,28 +101,43 @@ class EpisodeMemory:
                         f"{list(values.shape)} {values.dtype} {when}."
                     )
 
-    def _drawn(self, name: str, command: Command, shape: tuple[int, ...], rng: Generator | None) -> Memory:
+    def _drawn(
+        self, name: str, command: Command, shape: tuple[int, ...], rng: Generator | None, memory: Memory
+    ) -> Memory:
         if rng is None:
             raise ValueError(f"The command {name!r} is drawn at random: begin and advance need a generator.")
         count = int(np.prod(shape, dtype=int))
-        drawn = np.asarray(called(f"task.commands.{name}", command, rng, count))
+        drawn = np.asarray(called(f"task.commands.{name}", command.draw, rng, count, memory))
         if drawn.shape != (count, command.size):
             raise ConfigError(
                 f"task.commands.{name} must draw {[count, command.size]} numbers, got {list(drawn.shape)}."
             )
         drawn = drawn.reshape(*shape, command.size)
-        left = max(1, round(command.every / self.facts.control_dt))
+        left = period(command.every, self.facts.control_dt)
         return {f"{COMMAND}{name}": drawn, f"{COMMAND}{name}.left": np.full(shape, left, dtype=np.int64)}
 
-    def _next(self, name: str, command: Command, before: Mapping[str, np.ndarray], rng: Generator | None) -> Memory:
+    def _next(
+        self,
+        name: str,
+        command: Command,
+        before: Mapping[str, np.ndarray],
+        rng: Generator | None,
+        after: Memory,
+    ) -> Memory:
         key, timer = f"{COMMAND}{name}", f"{COMMAND}{name}.left"
         left = before[timer] - 1
         over = np.asarray(left <= 0)
         if not over.any():
             return {key: before[key], timer: left}
         # Rows for all robots are drawn, so that the number of due robots does not change the others' commands.
-        fresh = self._drawn(name, command, over.shape, rng)
+        fresh = self._drawn(name, command, over.shape, rng, after)
         return {
             key: np.where(over[..., None], fresh[key], before[key]),
             timer: np.where(over, fresh[timer], left),
         }
+
+
+def _generator(rng: Generator | None) -> Generator:
+    if rng is None:
+        raise ValueError("Differences between robots are drawn at random: begin and advance need a generator.")
+    return rng

@@ -19,6 +19,7 @@ from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.mirror_check import check_mirror
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
+from gctd3.tasks.domain_randomisation import NOISE, Domain, DomainRandomisation
 from gctd3.tasks.feature_table import FeatureTable
 from gctd3.tasks.features import NodeFeature, Sensed
 from gctd3.tasks.gait_clock import GaitClock
@@ -43,6 +44,8 @@ class Composition(TaskSettings):
         terminations: Terminations that end an episode.
         randomisations: Randomisations of the start of an episode.
         commands: Commands to the robot.
+        privileged: Features of the nodes that only critics observe, beside the clocks of the terminations.
+        domain_randomisation: Differences between robots in a training; ``None`` for none.
     """
 
     control_dt: float = 0.02
@@ -50,6 +53,8 @@ class Composition(TaskSettings):
     terminations: Mapping[str, Any] = field(default_factory=dict)
     randomisations: Mapping[str, Any] = field(default_factory=dict)
     commands: Mapping[str, Any] = field(default_factory=dict)
+    privileged: Mapping[str, Any] = field(default_factory=dict)
+    domain_randomisation: DomainRandomisation | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,12 +62,13 @@ class Composition(TaskSettings):
             raise ConfigError(f"control_dt must be above 0 s and at most 1 s, got {self.control_dt}.")
         for name, kind in (("terminations", Termination), ("randomisations", Randomisation), ("commands", Command)):
             check_terms(name, getattr(self, name), kind)
-        check_mapping("features", self.features)
-        for name, feature in self.features.items():
-            if feature is not None and not isinstance(feature, NodeFeature):
-                raise ConfigError(
-                    f"features.{name} must be null or a mapping whose _target_ is a NodeFeature, got {feature!r}."
-                )
+        for key in ("features", "privileged"):
+            check_mapping(key, getattr(self, key))
+            for name, feature in getattr(self, key).items():
+                if feature is not None and not isinstance(feature, NodeFeature):
+                    raise ConfigError(
+                        f"{key}.{name} must be null or a mapping whose _target_ is a NodeFeature, got {feature!r}."
+                    )
 
     def build(self, robot: RobotSettings, reward: Reward | None = None) -> SimulatedTask:
         """Build the task, its robot and its graph; under the paper's reward if ``reward`` is ``None``."""
@@ -112,16 +118,28 @@ class SimulatedTask:
         """Take the terms that fit the robot, and run each of them once."""
         robot, settings = self.robot, self.settings
         self.facts = RobotFacts.from_robot(robot, self.graph, self.control_dt)
-        self.table = FeatureTable({n: f for n, f in settings.features.items() if f is not None}, robot, self.graph)
+        features = {n: f for n, f in settings.features.items() if f is not None}
+        self.table = FeatureTable(features, robot, self.graph)
         self.features = self.table.width
+        privileged = {n: f for n, f in settings.privileged.items() if f is not None}
+        key = "task.privileged"
+        self.privileged = FeatureTable(privileged, robot, self.graph, key) if privileged else None
         self.terminations = self._fitting("task.terminations", settings.terminations)
-        self.commands = self._fitting("task.commands", settings.commands)
+        commands = self._fitting("task.commands", settings.commands)
+        self.commands = {n: called(f"task.commands.{n}", one.fitted, self.facts) for n, one in commands.items()}
         self.randomisations = self._fitting("task.randomisations", settings.randomisations)
         self.terms = self._reward_terms()
         ends = {f"task.terminations.{name}": term for name, term in self.terminations.items()}
         terms = {f"reward.terms.{name}": term for name, term in self.terms.items()}
-        features = {f"task.features.{name}": f for name, f in settings.features.items() if f is not None}
-        self.memory = EpisodeMemory({**terms, **ends, **features}, self.commands, self.facts)
+        sensed = {f"task.features.{name}": one for name, one in features.items()}
+        sensed |= {f"task.privileged.{name}": one for name, one in privileged.items()}
+        asked = settings.domain_randomisation
+        servos = self.facts.servos.joints
+        self.domain = None if asked is None else Domain(asked, robot, self.table, servos, self.control_dt)
+        if self.domain is not None:
+            # Each robot of a batch has a model of its own there.
+            self.backends = ("batched",)
+        self.memory = EpisodeMemory({**terms, **ends, **sensed}, self.commands, self.facts, self.domain)
         clocks = [feature for feature in features.values() if isinstance(feature, GaitClock)]
         self.gait = clocks[0].pattern(robot) if clocks else None
         self._base = robot.base
@@ -171,7 +189,8 @@ class SimulatedTask:
                     f"{shapes}."
                 )
         first = self.begin(now, rng)
-        self.table.check(Sensed(now, first, self.facts))
+        for table in (self.table, *([] if self.privileged is None else [self.privileged])):
+            table.check(Sensed(now, first, self.facts))
         nothing = np.zeros((*batch, self.facts.actions)), np.zeros(batch, dtype=bool)
         step = Step(now, first, {}, *nothing, self.facts, {})
         with np.errstate(all="ignore"):
@@ -199,7 +218,7 @@ class SimulatedTask:
                     f"{where}: clock_mirror must return a source and a sign for each of the {length} numbers of clock, "
                     f"got {len(source)} and {len(sign)}."
                 )
-        self.num_counters = self.counters(first).shape[-1]
+        self.num_counters = self.counters(first, now).shape[-1]
 
     # Measuring.
 
@@ -235,7 +254,8 @@ class SimulatedTask:
 
     def node_features(self, now: Measurement, memory: Memory | None = None) -> np.ndarray:
         """Return the features of every node in one frame, ``float32 [*, N, F]``; see :class:`.FeatureTable`."""
-        return self.table(Sensed(now, memory or {}, self.facts))
+        nodes = self.table(Sensed(now, memory or {}, self.facts))
+        return nodes if memory is None or NOISE not in memory else nodes + memory[NOISE]
 
     def phase(self, nodes: Array) -> Array:
         """Return the phase that a task with a clock shows in observations, in periods from an episode's start.
@@ -251,13 +271,24 @@ class SimulatedTask:
         sine, cosine = (newest[(..., *self.table.place(f"{wave}_{foot}"))] for wave in ("clock_sin", "clock_cos"))
         return xp.atan2(sine, cosine) / (2 * math.pi) - float(self.facts.foot_phases[0])
 
-    def counters(self, memory: Memory) -> np.ndarray:
-        """Return the progress to each time-based termination, ``float32 [*, K]``, for critics, not policies."""
+    def counters(self, memory: Memory, now: Measurement | None = None) -> np.ndarray:
+        """Return what only critics observe, ``float32 [*, K]``.
+
+        It is the progress to each time-based termination, and the numbers of the privileged features.
+
+        Args:
+            memory: The memory.
+            now: The measurement; a task without privileged features needs none.
+        """
         parts = [
             called(f"task.terminations.{name}", term.clock, memory, self.facts, self.time_limit)
             for name, term in self.terminations.items()
         ]
         shown = [part for part in parts if part is not None]
+        if self.privileged is not None:
+            if now is None:
+                raise ValueError("Privileged features are measured: counters needs the measurement.")
+            shown.append(self.privileged.flat(Sensed(now, memory, self.facts)))
         if not shown:
             return np.zeros((*memory[STEPS].shape, 0), dtype=np.float32)
         return np.concatenate(shown, axis=-1).astype(np.float32)
@@ -269,6 +300,7 @@ class SimulatedTask:
             RobotError: If the robot is not the same on its left and its right, see :func:`.check_mirror`.
         """
         mirrors = [term.clock_mirror(self.facts) for term in self.terminations.values()]
+        mirrors += [] if self.privileged is None else [self.privileged.flat_reflection()]
         reflection, verdict = Reflection.of(self.robot, self.table, mirrors), check_mirror(self.robot, self.control_dt)
         if not verdict.symmetric:
             raise RobotError(
@@ -286,14 +318,17 @@ class SimulatedTask:
             qpos, qvel = called(f"task.randomisations.{name}", randomise, rng, self.robot, qpos, qvel)
         return qpos, qvel
 
-    def begin(self, now: Measurement, rng: Generator | None = None) -> Memory:
+    def begin(
+        self, now: Measurement, rng: Generator | None = None, last: Mapping[str, np.ndarray] | None = None
+    ) -> Memory:
         """Return the memory at the start of an episode.
 
         Args:
             now: The first measurement of the episode.
             rng: Generator of commands; a task without commands needs none.
+            last: Memory at the end of the robots' last episode, of which lasting arrays are kept; ``None`` for none.
         """
-        return self.memory.begin(now, rng)
+        return self.memory.begin(now, rng, last)
 
     def advance(
         self,
@@ -335,11 +370,32 @@ class SimulatedTask:
         truncated = any_of("truncates", True) & ~terminated
         return Outcome(terms, terminated, truncated, any_of("succeeds", True) & ~terminated, diverged)
 
+    def command_ranges(self) -> dict[str, tuple[float, float]]:
+        """Return the range of each number of the commands by the name of its reading; empty for a task without."""
+        return {}
+
     # Variants of the task.
 
     def with_reward(self, reward: Reward) -> SimulatedTask:
         """Return the same task under another reward."""
         return type(self)(self.robot, reward, self.settings, self.graph)
+
+    def evaluated(self, reward: Reward) -> SimulatedTask:
+        """Return the same task as policies are evaluated on it.
+
+        It is under a reward, with commands without a curriculum, and on the robot of the file.
+        """
+        commands = {n: one if one is None else one.evaluated() for n, one in self.settings.commands.items()}
+        settings = replace(self.settings, commands=commands, domain_randomisation=None)
+        return type(self)(self.robot, reward, settings, self.graph)
+
+    def with_commands(self, commands: Mapping[str, Command], steps: int | None = None) -> SimulatedTask:
+        """Return the same task with other commands, and another time limit unless ``steps`` (control steps) is None."""
+        settings = replace(self.settings, commands=commands)
+        if steps is not None:
+            ends = {n: e for n, e in self.settings.terminations.items() if not isinstance(e, TimeLimit)}
+            settings = replace(settings, terminations={**ends, "time_limit": TimeLimit(steps)})
+        return type(self)(self.robot, self.reward, settings, self.graph)
 
     def on(self, robot: Robot) -> SimulatedTask:
         """Return the same task on a changed robot that has the same graph."""

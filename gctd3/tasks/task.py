@@ -20,7 +20,7 @@ from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.reward import Reward
 
 MOST_FRAMES = 1000  # limit of frames stacked into an observation
-Ability = Literal["film", "export", "robustness", "mirror"]
+Ability = Literal["film", "export", "robustness", "mirror", "commands"]
 
 
 class Task(Protocol):
@@ -66,6 +66,13 @@ class Task(Protocol):
             ConfigError: If the task does not take it.
         """
 
+    def evaluated(self, reward: Reward) -> Task:
+        """Return the same task as policies are evaluated on it, under a reward.
+
+        Raises:
+            ConfigError: If the task does not take the reward.
+        """
+
 
 @dataclass(frozen=True)
 class TaskSettings(ABC):
@@ -97,7 +104,8 @@ class TaskSettings(ABC):
 def check_able(task: Task, ability: Ability, run: object) -> None:
     """Raise a :class:`.RunError` unless a run's task has an ability."""
     if ability not in task.abilities:
-        raise RunError(f"{run} was trained on {task.name}: {ability} is for tasks that gctd3 simulates.")
+        able = "task=velocity" if ability == "commands" else "tasks that gctd3 simulates"
+        raise RunError(f"{run} was trained on {task.name}: {ability} is for {able}.")
 
 
 def check_backend(task: Task, backend: str) -> None:

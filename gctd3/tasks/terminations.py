@@ -160,6 +160,13 @@ class TimeLimit(Termination):
         return step.after[STEPS] >= self.steps
 
 
+@dataclass(frozen=True)
+class Survive(TimeLimit):
+    """End the episode successfully after a time limit that the robot has lasted for; the value is bootstrapped."""
+
+    succeeds: ClassVar[bool] = True
+
+
 def check_steps(steps: int | None) -> None:
     """Raise a :class:`.ConfigError` unless a limit is at least one control step, or ``None``."""
     if steps is not None and steps < 1:

@@ -212,12 +212,14 @@ class Remembered:
         shape: Shape without the robots' dimensions; ``feet``, ``joints`` and ``actions`` stand for their numbers.
         start: Value at a reset: a number, or a function of the measurement at the reset and the robot's facts.
         update: Function of the array before the step and the step; returns the array after it. Its type stays.
+        lasting: Whether a reset keeps the array of the robot's last episode, as a curriculum does.
     """
 
     name: str
     shape: Sequence[int | str]
     start: float | bool | Callable[[Measurement, RobotFacts], Array]
     update: Callable[[Array, Step], Array]
+    lasting: bool = False
 
     def begin(self, now: Measurement, facts: RobotFacts) -> Array:
         """Return the value at a reset, shape ``[*, shape]``."""
@@ -347,6 +349,25 @@ class Command(Term):
     @abstractmethod
     def __call__(self, rng: np.random.Generator | np.random.RandomState, count: int) -> np.ndarray:
         """Draw a command for each of ``count`` robots, shape ``[count, K]``."""
+
+    def draw(
+        self, rng: np.random.Generator | np.random.RandomState, count: int, memory: Mapping[str, Array]
+    ) -> np.ndarray:
+        """Draw a command for each robot of a memory, shape ``[count, K]``; a curriculum reads its arrays there."""
+        return self(rng, count)
+
+    def fitted(self, facts: RobotFacts) -> Command:
+        """Return the command for a robot, such as one without what its base cannot do."""
+        return self
+
+    def evaluated(self) -> Command:
+        """Return the command of evaluations, such as one without a curriculum."""
+        return self
+
+
+def period(every: float, control_dt: float) -> int:
+    """Return the control steps for which a command holds that is drawn anew every so many seconds, at least one."""
+    return max(1, round(every / control_dt))
 
 
 @dataclass(frozen=True)

@@ -193,7 +193,7 @@ class TrainSettings:
             substeps_of(task.control_dt, task.robot)
         self.exploration.check_robot(task.robot, task.control_dt)
         try:
-            task.with_reward(self.evaluation.reward)
+            task.evaluated(self.evaluation.reward)
         except ConfigError as error:
             raise ConfigError(f"evaluation.{error}") from error
         setup = Setup(task, self.network, self.algo.privileged_critic)

@@ -24,6 +24,11 @@ COLUMNS = (
     "diverged",
     "train_episodes",
     "restarts",
+    # Of a task with a commanded velocity.
+    "error_forward",
+    "error_side",
+    "error_turn",
+    "fall_rate",
 )
 
 

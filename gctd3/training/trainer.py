@@ -91,9 +91,7 @@ class Trainer:
         recipe = EnvRecipe(task, env)
         self.collector = build_collector(settings.collector, recipe, settings.batch_steps, settings.seed, self.explorer)
         evaluated = env.for_evaluation(settings.evaluation.episodes, env.threads)
-        self.evaluation_env = build_env(
-            task.with_reward(settings.evaluation.reward), evaluated, settings.evaluation.seed
-        )
+        self.evaluation_env = build_env(task.evaluated(settings.evaluation.reward), evaluated, settings.evaluation.seed)
         manifest = {"graph": {"nodes": setup.graph.nodes, "edges": setup.graph.edges}, **(about or {})}
         self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, manifest)
         self.log = RunLog(directory, settings.logger)

@@ -1,4 +1,4 @@
-"""What a browser may send to the viewer: views of its camera, and values that the page's controls can take."""
+"""What a browser may send to the viewer: views of its camera, values that the page's controls can take, and keys."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _CANVAS = ("image_height", "image_width")
 
 
 class Gate:
-    """Decide which of a browser's messages the viewer handles: views of its camera, and values of its controls.
+    """Decide which of a browser's messages the viewer handles: views of its camera, values of its controls, keys.
 
     Args:
-        control: Function that finds a control by the id that browsers know it by; ``None`` if there is none.
+        control: Function that finds a control or a key by the id that browsers know it by; ``None`` if there is none.
     """
 
     def __init__(self, control: Callable[[str], object]) -> None:
@@ -54,6 +54,12 @@ class Gate:
         if not isinstance(uuid, str) or not isinstance(updates, dict) or updates.keys() != {"value"}:
             return False
         return _fits(self._control(uuid), updates["value"])
+
+    def is_key(self, message: Mapping[str, object]) -> bool:
+        """Tell whether a message is a press of one of the page's keys."""
+        if message["type"] != "CommandTriggerMessage" or message.keys() != {"type", "uuid"}:
+            return False
+        return isinstance(message["uuid"], str) and isinstance(self._control(message["uuid"]), viser.CommandHandle)
 
 
 def _fits(control: object, value: object) -> bool:

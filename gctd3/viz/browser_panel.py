@@ -17,6 +17,7 @@ from viser import uplot
 
 from gctd3.errors import GCTD3Error
 from gctd3.evaluation.recorder import total_mass
+from gctd3.viz.command_panel import add_command_controls, commanded
 from gctd3.viz.film import MARKS, start_point
 from gctd3.viz.live_session import LiveWalk, Moment
 from gctd3.viz.scenery import with_scenery
@@ -156,6 +157,7 @@ class Panel:
         self._on(follow.on_update, lambda: setattr(self._scene, "camera_tracking_enabled", follow.value))
         self._choice = gui.add_dropdown("Run", options=self.runs, initial_value=run)
         self._on(self._choice.on_update, lambda: self._choose(self._choice.value))
+        add_command_controls(gui, self.live, self._slider, self._on)
         with gui.add_folder("Push and change"):
             self._changes()
         with gui.add_folder("Joints, rad"):
@@ -261,6 +263,7 @@ class Panel:
             [("distance", f"{now.position:.2f} m"), ("speed", f"{now.velocity:.2f} m/s")],
             [("height", f"{now.height:+.3f} m"), ("reward", f"{now.reward:.2f}")],
             [("return", f"{now.total:.0f}")],
+            *commanded(now),
         ]
         cells = ["".join(f"<td>{key}</td><td class='{key}'><b>{text}</b></td>" for key, text in row) for row in rows]
         style = "margin: 0 0.6em; border-spacing: 0.7em 0; font-size: 0.85em; font-variant-numeric: tabular-nums"

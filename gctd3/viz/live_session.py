@@ -16,6 +16,9 @@ from gctd3.envs.simulation import Simulation
 from gctd3.robots.mjcf import bodies_below, body_name, colliding_geoms
 from gctd3.robots.robot import Robot
 from gctd3.tasks.simulated_task import SimulatedTask
+from gctd3.tasks.terminations import MOST_STEPS
+from gctd3.tasks.velocity_command import SWAY, VELOCITY, velocities
+from gctd3.tasks.velocity_features import COMMANDS
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
 
@@ -42,6 +45,10 @@ class Moment:
         feet_down: Whether each foot touches the ground, shape ``[feet]``.
         done: Whether the episode has ended.
         success: Whether it ended at the finish.
+        command: Commanded velocity forward, to the left and turning, shape ``[3]`` (m/s, m/s, rad/s); ``None`` for a
+            task without it.
+        moved: The robot's velocities of the same kind, averaged over half a second, shape ``[3]``; ``None`` for a task
+            without commands.
     """
 
     qpos: np.ndarray
@@ -55,6 +62,8 @@ class Moment:
     feet_down: np.ndarray
     done: bool = False
     success: bool = False
+    command: np.ndarray | None = None
+    moved: np.ndarray | None = None
 
 
 class LiveWalk:
@@ -86,6 +95,10 @@ class LiveWalk:
         self._root = robot.base.root
         ground = [g for g in range(robot.model.ngeom) if robot.model.geom_bodyid[g] == 0]
         self._rubbing, self._mass = ground + foot_geoms(robot), float(robot.model.body_mass[self._root])
+        self._box = np.array(list(task.command_ranges().values())).reshape(-1, 2)
+        self._axes = [COMMANDS.index(name) for name in task.command_ranges()]
+        self._steered: np.ndarray | None = None
+        self._moved: np.ndarray | None = None
         self.reset(seed)
 
     @property
@@ -99,6 +112,9 @@ class LiveWalk:
         with torch.random.fork_rng(devices=[]):
             self._env.set_seed(seed)
             self._state = self._env.reset()
+        if self._steered is not None:
+            self._order(self._steered)
+        self._moved = None
         self.now = self._moment(0.0, 0.0, 0.0, done=False, success=False)
         return self.now
 
@@ -117,6 +133,34 @@ class LiveWalk:
         self._state = step_mdp(state)
         return self.now
 
+    @property
+    def ranges(self) -> dict[int, tuple[float, float]]:
+        """Return the range of each axis along which the robot can be steered, by its place in a command."""
+        return {axis: (float(low), float(high)) for axis, (low, high) in zip(self._axes, self._box, strict=True)}
+
+    def steer(self, command: np.ndarray) -> None:
+        """Set the commanded velocity ``[3]`` (m/s, m/s, rad/s) from the next step on, within the training's ranges."""
+        wanted = np.zeros(3)
+        for axis, (low, high) in self.ranges.items():
+            wanted[axis] = np.clip(command[axis], low, high)
+        self._steered = wanted
+        self._order(wanted)
+
+    def _order(self, command: np.ndarray) -> None:
+        simulation = self.simulation
+        # It holds until the next one, whatever the task draws.
+        held = {VELOCITY: command[None], f"{VELOCITY}.left": np.array([MOST_STEPS])}
+        simulation.memory = {**simulation.memory, **held}
+
+    def _average(self) -> np.ndarray | None:
+        """Return the robot's velocities, averaged over half a second: a body sways with every step."""
+        if VELOCITY not in self.simulation.memory:
+            return None
+        here = np.asarray(velocities(self.simulation.now, self.simulation.task.facts))[0]
+        share = 1.0 - np.exp(-self.control_dt / SWAY)
+        self._moved = here if self._moved is None else self._moved + share * (here - self._moved)
+        return self._moved
+
     def _moment(self, time: float, reward: float, total: float, *, done: bool, success: bool) -> Moment:
         here = self.simulation.now
         return Moment(
@@ -131,6 +175,8 @@ class LiveWalk:
             feet_down=here.feet_down[0].copy(),
             done=done,
             success=success,
+            command=self.simulation.memory[VELOCITY][0].copy() if VELOCITY in self.simulation.memory else None,
+            moved=self._average(),
         )
 
     def show(self) -> mujoco.MjData:

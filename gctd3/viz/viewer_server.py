@@ -92,5 +92,5 @@ class _CheckedConnection(ServerConnection):
                 self._introduced = True
                 return frame
             # viser keeps a value without calling anybody before it has seen a browser's camera.
-            elif self._introduced and self._gate.is_value(message):
+            elif self._introduced and (self._gate.is_value(message) or self._gate.is_key(message)):
                 return frame

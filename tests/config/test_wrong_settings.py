@@ -27,7 +27,7 @@ def fails(config):
 
 # Mappings of terms with arbitrary names.
 OF_TERMS = ["reward.terms", "evaluation.reward.terms"]
-OF_TERMS += [f"task.{kind}" for kind in ("features", "terminations", "randomisations", "commands")]
+OF_TERMS += [f"task.{kind}" for kind in ("features", "terminations", "randomisations", "commands", "privileged")]
 
 
 def test_a_misspelt_key_is_named_with_the_nearest_one(default):

@@ -97,7 +97,9 @@ WRONG = {
     "task.terminations={}": ["task.terminations={} removes nothing", "task.terminations.time_limit=null"],
     "reward.terms={}": ["reward.terms={} removes nothing", "reward.terms.swing=null"],
     "stop_when.at_least={}": ["stop_when.at_least={} removes nothing", "'~stop_when.at_least.success_rate' "],
-    "reward=null": ["reward=null: reward cannot be left out. Options of reward: empty, paper, table3, walk."],
+    "reward=null": [
+        "reward=null: reward cannot be left out. Options of reward: empty, paper, table3, tracking, velocity, walk."
+    ],
     "task=null": ["task=null: task cannot be left out. Options of task: ant, ", "walk, "],
     "reward.terms.fall._target_=gctd3.Living": [
         "Unknown key 'reward.terms.fall.by'",
@@ -167,7 +169,7 @@ def test_the_cause_of_a_term_that_fails_is_kept():
         (lambda: Reward(terms=None), "terms must be a mapping of terms by name, got None"),
         (lambda: make_env(reward={"x": Failing()}), "reward must be a Reward, got {'x': Failing("),
         (lambda: make_env(reward={}), "reward must be a Reward, got {}"),
-        (lambda: make_env(task="walk"), "task must be a TaskSettings, got 'walk'"),
+        (lambda: make_env(task=Failing()), "task must be a TaskSettings, got Failing("),
         (lambda: walking(of=Failing()), "reward must be a Reward, got Failing("),
     ],
 )
@@ -204,7 +206,8 @@ def test_a_run_that_is_continued_keeps_its_terms(capfd, tmp_path):
 def test_a_reward_to_evaluate_under_is_chosen_before_it_is_changed(capfd, tmp_path, key):
     assert command("evaluate", f"out={tmp_path}", key) == 2
     error = capfd.readouterr().err
-    assert "reward has no keys as it is: begin with reward=..., which is one of empty, paper, table3, walk." in error
+    known = "empty, paper, table3, tracking, velocity, walk"
+    assert f"reward has no keys as it is: begin with reward=..., which is one of {known}." in error
     assert command("evaluate", f"out={tmp_path}", "reward=null", "episodes=0") == 2
     assert "episodes must be at least 1" in capfd.readouterr().err
 

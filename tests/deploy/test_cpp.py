@@ -177,23 +177,26 @@ def test_the_headers_policy_is_pythons_over_good_and_bad_calls(tmp_path, contrac
             readings[rng.choice(list(readings))] = rng.choice([np.nan, np.inf, 1e30, 2.0, -4.0])
         when = rng.choice([np.nan, time - 9.0, time + 100.0]) if rng.random() < 0.1 else time
         numbers, draw = " ".join(f"{x:.17g}" for x in readings.values()), rng.random()
+        asked = {name: readings.pop(name) for name in policy.contract.commands}
         if draw < 0.05 or (policy.stopped and draw < 0.2):
             policy.reset(at_home=draw < 0.01)
             calls.append("h" if draw < 0.01 else "r")
             continue
         try:
             if draw > 0.9:
-                calls.append(f"b {numbers}")
+                at_start = {**readings, **dict.fromkeys(asked, 0.0)}
+                calls.append("b " + " ".join(f"{at_start[f.reading]:.17g}" for f in policy.contract.features))
                 given = policy.start(readings)
             else:
                 calls.append(f"s {when:.17g} {numbers}")
-                given = policy.step(readings, when)
+                given = policy.step(readings, when, command=asked)
             expected.append([0, policy.at_home, *given.values()])
         except ReadingError as error:
             expected.append([1, policy.at_home, *error.command.values()])
     at = {name: -1.0 if name == "gravity_up" else 0.0 for name in policy.contract.readings}
     policy.reset()
-    calls += ["r", *["b " + " ".join(map(str, at.values()))] * 50]
+    numbers = " ".join(str(at.get(feature.reading, 0.0)) for feature in policy.contract.features)
+    calls += ["r", *[f"b {numbers}"] * 50]
     expected += [[0, policy.at_home, *command.values()] for command in (policy.start(at) for _ in range(50))]
     assert policy.at_home
     mine, expected = answers(compiled(header, tmp_path), calls), np.array(expected)

@@ -28,6 +28,7 @@ pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 P = 1 / RATE  # control period (s)
 STEP = HOME_RATE * P  # 0.005 rad a period
+STAND = {"asked": 0.0}  # command of the policy that follows
 
 
 @pytest.fixture(scope="module")
@@ -44,9 +45,9 @@ def good(policy, **changed):
     return {**dict.fromkeys(policy.contract.readings, 0.0), **changed}
 
 
-def refused(policy, readings=None, time=None):
+def refused(policy, readings=None, time=None, command=None):
     with pytest.raises(ReadingError) as error:
-        policy.step(readings, time)
+        policy.step(readings, time, command=command)
     return error.value
 
 
@@ -227,17 +228,17 @@ def test_a_policy_that_does_not_read_its_joints_cannot_be_started(tmp_path):
 
 def test_the_policy_knows_its_last_action_itself(tmp_path):
     policy = Policy(write_policy(tmp_path, following_contract(frames=2)))
-    assert policy.contract.readings == ("gravity_up", "asked", "pitch_rad", "angle_knee_rad", "angle_hip_rad", "down")
+    assert policy.contract.readings == ("gravity_up", "pitch_rad", "angle_knee_rad", "angle_hip_rad", "down")
     network = policy._session = Fixed(0.25, -0.5)
     upright = good(policy, gravity_up=-1.0)
-    policy.step(upright, 0.0)
+    policy.step(upright, 0.0, command=STAND)
     refused(policy, None, P)
-    policy.step(upright, 2 * P)
+    policy.step(upright, 2 * P, command=STAND)
     # Frames of two features; the nodes' order is knee, hip, the action's hip, knee.
     assert network.seen[0][0, 2:4].tolist() == [[0, 0, 0, 0]] * 2
     assert network.seen[1][0, 2:4].tolist() == [[0, 0, 0, -0.5], [0, 0, 0, 0.25]]
     policy.reset()
-    policy.step(upright, 0.0)
+    policy.step(upright, 0.0, command=STAND)
     assert network.seen[2][0, 2:4].tolist() == [[0, 0, 0, 0]] * 2
 
 
@@ -268,8 +269,47 @@ def test_a_clock_that_is_none_is_refused(change):
 
 def test_a_tilt_is_seen_by_gravitys_direction(tmp_path):
     policy = Policy(write_policy(tmp_path, following_contract()))
-    policy.step(good(policy, gravity_up=-math.cos(0.79)), 0.0)
-    assert "tilted by 0.810 rad" in str(refused(policy, good(policy, gravity_up=-math.cos(0.81)), P))
+    policy.step(good(policy, gravity_up=-math.cos(0.79)), 0.0, command=STAND)
+    assert "tilted by 0.810 rad" in str(refused(policy, good(policy, gravity_up=-math.cos(0.81)), P, STAND))
+
+
+def test_a_command_is_given_apart_from_the_readings(tmp_path):
+    policy = Policy(write_policy(tmp_path, following_contract(frames=1)))
+    assert policy.contract.commands == {"asked": (-2.0, 2.0)}
+    network, upright = Fixed(0.0, 0.0), good(policy, gravity_up=-1.0)
+    policy._session = network
+    for time, asked in enumerate((1.5, -2)):
+        policy.step(upright, time * P, command={"asked": asked})
+        assert network.seen[-1][0, 0].tolist() == [-1.0, asked]
+    # To the home pose the robot goes without a command.
+    policy.start(upright)
+    assert len(network.seen) == 2
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        (None, "The commands do not fit the contract: missing asked; unknown none."),
+        ({}, "The commands do not fit the contract: missing asked; unknown none."),
+        ({"asked": 0.0, "speed": 1.0}, "The commands do not fit the contract: missing none; unknown speed."),
+        ([0.5], r"The commands must be a mapping from names to numbers, got [0.5]."),
+        ({"asked": 2.01}, "asked must be between -2 and 2, got 2.01."),
+        ({"asked": math.nan}, "asked must be a finite number, got nan."),
+    ],
+)
+def test_a_command_that_is_none_or_out_of_range_is_refused(tmp_path, command, reason):
+    policy = Policy(write_policy(tmp_path, following_contract()))
+    before = policy.command
+    error = refused(policy, good(policy, gravity_up=-1.0), 0.0, command)
+    assert str(error) == reason and error.command == before
+    policy.step(good(policy, gravity_up=-1.0), P, command=STAND)
+
+
+def test_a_policy_without_commands_takes_none_and_no_command_is_a_reading(policy, tmp_path):
+    assert policy.contract.commands == {}
+    assert str(refused(policy, good(policy), 0.0, STAND)).endswith("missing none; unknown asked.")
+    following = Policy(write_policy(tmp_path, following_contract()))
+    assert "unknown asked." in str(refused(following, good(following, asked=0.0), 0.0, STAND))
 
 
 def test_a_last_action_without_a_servo_is_refused():

@@ -110,3 +110,45 @@ def test_without_autoreset_only_masked_robots_start_anew():
     frames = after.reshape(3, 8, 5, 2)[ended]
     assert (frames == frames[:, :, :1]).all() and not np.array_equal(after[ended], before[ended])
     env.step(action)
+
+
+VELOCITY = "gctd3/Velocity-v0"
+
+
+def test_commanded_velocities_are_told_and_paid():
+    """The reward's term is computed again from the info: ``3 (|c| - |v - c|)``, with no average."""
+    now = ["reward.terms.track.time=0"]
+    vector = gymnasium.make_vec(VELOCITY, num_envs=3, robot="quadruped", threads=1, curriculum=False, overrides=now)
+    vector.reset(seed=1)
+    rng, command = np.random.default_rng(0), vector.simulation.memory["command.velocity"].copy()
+    assert np.ptp(command, axis=0).min() > 0.01
+    for _ in range(5):
+        _, _, _, _, info = vector.step(rng.uniform(-0.3, 0.3, (3, 12)).astype(np.float32))
+        off = np.linalg.norm((info["moved"] - command)[:, :2], axis=1)
+        np.testing.assert_allclose(info["reward_track"], 3.0 * (np.linalg.norm(command[:, :2], axis=1) - off))
+        command = info["command"]
+
+
+def test_robots_are_those_of_the_commands():
+    """A robot's own settings come with its name, and the outer configuration of Hydra stays as it was."""
+    from hydra.core.global_hydra import GlobalHydra
+
+    env = gymnasium.make(VELOCITY, robot="biped_planar", overrides=["task.commands.velocity.begin=null"]).unwrapped
+    task = env._one.simulation.task
+    assert task.robot.path.stem == "biped_planar" and task.terms["tilt"].weight == -0.5
+    assert "velocity_width" not in task.memory.remembered
+    assert not GlobalHydra.instance().is_initialized()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "said"),
+    [
+        ({"robot": "quadrupet"}, RobotError, "quadrupet"),
+        ({"overrides": ["task.commands.velocity.forward=[1,0]"]}, ConfigError, r"forward must be \[lowest, highest\]"),
+        ({"overrides": ["task.commands.velocity.fast=1"]}, ConfigError, "fast"),
+        ({"robot": "nowhere.xml"}, RobotError, "nowhere.xml"),
+    ],
+)
+def test_wrong_commanded_velocities_are_named(arguments, error, said):
+    with pytest.raises(error, match=said):
+        gymnasium.make(VELOCITY, **arguments)

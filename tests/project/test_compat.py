@@ -22,7 +22,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::gctd3.errors.PerformanceWarning"),
     pytest.mark.filterwarnings("ignore:No target network updater:UserWarning"),
 ]
-KNOWN = "_gui_input_handle_from_uuid"
+KNOWN, KEYS = "_gui_input_handle_from_uuid", "_command_handle_from_uuid"
 
 
 @pytest.fixture
@@ -225,6 +225,8 @@ def test_a_viser_server_is_served_with_other_arguments():
     try:
         assert given and given[0]["process_request"] is not None
         slider = server.gui.add_slider("a", min=0.0, max=1.0, step=0.1, initial_value=0.3)
+        key = server.gui.add_command("b", hotkey="B")
+        assert [compat.control_of(server, uuid) for uuid in compat.read(server.gui, KEYS, compat.VISER)] == [key]
         controls = [compat.control_of(server, uuid) for uuid in compat.read(server.gui, KNOWN, compat.VISER)]
         assert controls == [slider] and compat.control_of(server, "nobody") is None
     finally:

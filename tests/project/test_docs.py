@@ -115,6 +115,7 @@ INSTEAD = {
     # Of its twenty runs one, and of its kinds of perturbation the fewest.
     "experiment=table5": "experiment=table5 algo=gctd3 seed=0",
     "robustness=true": "robustness=true perturbations.impulses=[5] perturbations.phases=1 perturbations.starts=1",
+    "commands=true": "commands=true grid.forward=2 grid.side=1 grid.turn=1 grid.starts=1 grid.seconds=2",
 }
 NEEDS = {
     "view": ["mjviser"],
@@ -137,8 +138,8 @@ INSTALL |= {"python -m sphinx docs site"}
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    """Make a folder with a stopped run, a sweep, an MJCF of a robot that does not ship, and its YAML."""
+def place(tmp_path_factory, finished):
+    """Make a folder with a stopped run, one of commanded velocities, a sweep, an MJCF of a robot that does not ship, and its YAML."""
     root = tmp_path_factory.mktemp("pages")
     run = train(root / RUN, "total_frames=160")
     for seed in range(2):
@@ -149,6 +150,7 @@ def place(tmp_path_factory):
         text = (run / file).read_text(encoding="utf-8")
         (run / file).write_text(text.replace("total_frames: 160", "total_frames: 240").replace("=160", "=240"))
     shutil.copytree(run, root / "DIR")
+    shutil.copytree(finished["velocity"], root / "RUN")
     (root / "my.xml").write_text(TWO_LEGS.replace("leg_r", "toe_right").replace("leg_l", "toe_left"))
     (mine,) = (text for language, text in BLOCKS if language == "yaml")
     (root / "robots/robot").mkdir(parents=True)

@@ -11,7 +11,7 @@ from compositions import walking
 from own_terms import FollowSpeed, MissedSpeed
 
 from gctd3.robots.robot import Robot
-from gctd3.tasks import motor_terms, reward_terms, terminations
+from gctd3.tasks import motor_terms, reward_terms, terminations, velocity_terms
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.terminations import STEPS
 from gctd3.tasks.terms import RewardTerm, Step, Termination
@@ -20,7 +20,7 @@ from gctd3.tasks.terms import RewardTerm, Step, Termination
 def of(module, kind):
     """Return every term of a kind that a module defines."""
     found = [item for _, item in inspect.getmembers(module, inspect.isclass) if item.__module__ == module.__name__]
-    return [item for item in found if issubclass(item, kind)]
+    return [item for item in found if issubclass(item, kind) and not inspect.isabstract(item)]
 
 
 # The shipped terms, with limits that are reached within a few steps.
@@ -28,7 +28,7 @@ SOONER = {"LongContact": {"steps": 2}, "StuckHip": {"steps": 3}, "TimeLimit": {"
 SOONER["SwingTime"]["least"] = 0.02
 REWARDS = {
     kind.__name__: kind(**SOONER.get(kind.__name__, {}))
-    for module in (reward_terms, motor_terms)
+    for module in (reward_terms, motor_terms, velocity_terms)
     for kind in of(module, RewardTerm)
 }
 ENDS = {kind.__name__: kind(**SOONER.get(kind.__name__, {})) for kind in of(terminations, Termination)}
@@ -76,6 +76,7 @@ def played(facts, seen, convert):
     asked = {one.name: one for term in (*rewards.values(), *ENDS.values()) for one in term.remembers()}
     taken = [Measurement(**{f.name: convert(getattr(now, f.name)) for f in fields(now)}) for now in seen]
     command = {"command.speed": convert(rng.uniform(0.0, 1.0, (*shape, 1)))}
+    command["command.velocity"] = convert(np.zeros((*shape, 3)))  # to stand
     memory = {name: one.begin(taken[0], facts) for name, one in asked.items()}
     memory |= {STEPS: convert(np.zeros(shape, dtype=np.int64)), **command}
     found = [{"memory": memory}]
@@ -128,5 +129,5 @@ def test_what_is_remembered_is_left_as_it_was(facts):
             for name in one:
                 assert (one[name] == other[name]).all(), name
         for before, after in itertools.pairwise(memories):
-            for name in set(before) - {"command.speed"}:
+            for name in set(before) - {"command.speed", "command.velocity"}:
                 assert before[name] is not after[name], name

@@ -12,6 +12,7 @@ from gctd3.tasks.features import paper_features
 from gctd3.tasks.gait_clock import PHASES, GaitClock, GaitSchedule
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.terms import Step
+from gctd3.tasks.velocity_command import VELOCITY
 from gctd3.tasks.walk import WalkingTask, WalkSettings
 
 DT = 0.02
@@ -134,6 +135,17 @@ def test_feet_out_of_time_cost_by_hand(robot, xp):
     ]
     rewards = GaitSchedule(weight=-2.0)(step(task, phases, down, xp))
     np.testing.assert_allclose(np.asarray(rewards), [0.0, -1.0, -2.0, -0.5])
+
+
+@pytest.mark.parametrize("xp", [np, torch], ids=["numpy", "torch"])
+def test_feet_may_stay_down_while_the_command_is_to_stand(robot, xp):
+    """As above; the first robot is to stand, the second to turn: a foot in the air costs both of them."""
+    task = walking(robot, GaitClock())
+    command = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
+    for down, expected in (([True] * 4, [0.0, -1.0]), ([False, False, True, False], [-0.5, -0.5])):
+        now = step(task, np.array([[0.25, 0.75, 0.75, 0.25]] * 2), [down] * 2, xp)
+        commanded = replace(now, before={**now.before, VELOCITY: xp.asarray(command)})
+        np.testing.assert_allclose(np.asarray(GaitSchedule(weight=-2.0)(commanded)), expected)
 
 
 def test_near_a_change_a_foot_may_be_up_or_down(robot):
