@@ -139,7 +139,7 @@ INSTALL |= {"python -m sphinx docs site"}
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory, finished):
-    """Make a folder with a stopped run, one of commanded velocities, a sweep, an MJCF of a robot that does not ship, and its YAML."""
+    """Make a folder with two stopped runs, a sweep, an MJCF of a robot that does not ship, and its YAML."""
     root = tmp_path_factory.mktemp("pages")
     run = train(root / RUN, "total_frames=160")
     for seed in range(2):
