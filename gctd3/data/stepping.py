@@ -68,11 +68,11 @@ class Stepping(torch.nn.Module):
     }
     CYCLIC = ("phase", "sway_phase")
     MUTATION = 0.08  # standard deviation, of a gene's range
-    RIVALS = 4  # robots of whom the fittest one is the parent
+    RIVALS = 8  # robots of whom the fittest one is the parent
     FALL = 0.5  # leg lengths by which a fall lowers the fitness, for each second of a trial
     FROUDE = 0.3  # of a speed beyond which a gait is not fitter: v^2 / (g L)
-    AGAIN = 0.15  # share of trials in which a robot tries its remembered gait again; luck does not stay
-    LAST_ROUND = 0.3  # share of the warm-up, at its end, in which robots try what they remember and nothing else
+    AGAIN = 0.05  # share of trials in which a robot tries its remembered gait again; luck does not stay
+    LAST_ROUND = 0.2  # share of the warm-up, at its end, in which robots try what they remember and nothing else
     NOISE = 0.1  # standard deviation of what is added to the actions
     DAMPING = 0.05  # of the pseudo-inverse, leg lengths
 
