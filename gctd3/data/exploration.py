@@ -13,7 +13,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
-from gctd3.robots.altered import resting_action
 from gctd3.robots.robot import Robot
 
 
@@ -151,7 +150,6 @@ class Explorer(TensorDictModuleBase):
     held: Tensor
     memory: Tensor
     wander: Tensor
-    rest: Tensor
 
     def __init__(
         self,
@@ -187,9 +185,6 @@ class Explorer(TensorDictModuleBase):
             memory[1::2] = math.exp(-control_dt / settings.noise_time)
         self.register_buffer("memory", memory[part])
         self.register_buffer("wander", torch.zeros(robots, robot.model.nu))
-        driven = len(robot.actuated) == robot.model.nu
-        rest = torch.from_numpy(resting_action(robot)).float() if driven else torch.zeros(robot.model.nu)
-        self.register_buffer("rest", rest, persistent=False)
 
     @property
     def warming_up(self) -> bool:
@@ -220,16 +215,10 @@ class Explorer(TensorDictModuleBase):
         self.wander = memory * self.wander + (1 - memory**2).sqrt() * torch.randn_like(self.wander)
         return self.wander
 
-    def _still(self, action: Tensor) -> Tensor:
-        return (self.rest + Rhythm.NOISE * torch.randn_like(action)).clamp(-1.0, 1.0)
-
     def _warmup(self, tensordict: TensorDictBase) -> Tensor:
         if self.rhythm is not None:
             position = tensordict.get("position").reshape(-1) if self._places else None
-            action = self.rhythm(tensordict.get("is_init").reshape(-1), position)
-            # A robot that is commanded to stand shows what that is worth: it holds its pose, with a little noise.
-            stands = tensordict.get("stands", None)
-            return action if stands is None else torch.where(stands, self._still(action), action)
+            return self.rhythm(tensordict.get("is_init").reshape(-1), position)
         if (int(self.frames) // self.num_robots) % self.settings.hold == 0:
             self.held.uniform_(-1.0, 1.0)
         return self.held.clone()

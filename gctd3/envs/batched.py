@@ -21,23 +21,18 @@ class BatchedEnv(RobotsEnv):
     Args:
         simulation: The simulation of the robots.
 
-    Writes ``nodes [nodes, F]`` and ``counters [K]`` of each robot, and the other keys of every :class:`.RobotsEnv`; for
-    a task that may command a robot to stand still ``stands [1]`` too, which is for the warm-up and not for policies.
+    Writes ``nodes [nodes, F]`` and ``counters [K]`` of each robot, and the other keys of every :class:`.RobotsEnv`.
     """
 
     def __init__(self, simulation: Simulation) -> None:
         task = simulation.task
         nodes = task.graph.num_nodes, task.features
         super().__init__(simulation.num_robots, nodes, task.num_counters, task.facts.actions)
-        if task.stands(simulation.memory) is not None:
-            self.observation_spec["stands"] = self.observation_spec["is_init"].clone()
         self.simulation = simulation
 
     def _observe(self, success: np.ndarray, diverged: np.ndarray, is_init: np.ndarray) -> dict[str, torch.Tensor]:
         simulation = self.simulation
-        stands = simulation.task.stands(simulation.memory)
         return {
-            **({} if stands is None else {"stands": column(stands)}),
             "nodes": torch.from_numpy(simulation.task.node_features(simulation.now, simulation.memory)),
             "counters": torch.from_numpy(simulation.task.counters(simulation.memory, simulation.now)),
             "position": column(simulation.now.position.astype(np.float32)),

@@ -355,10 +355,6 @@ class SimulatedTask:
         """Return the range of each number of the commands by the name of its reading; empty for a task without."""
         return {}
 
-    def stands(self, memory: Memory) -> np.ndarray | None:
-        """Return whether each robot is commanded to stand still, bool ``[*]``; ``None`` for a task without commands."""
-        return None
-
     # Variants of the task.
 
     def with_reward(self, reward: Reward) -> SimulatedTask:

@@ -6,11 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from gctd3.errors import ConfigError
 from gctd3.robots.settings import RobotSettings
-from gctd3.tasks.memory import Memory
 from gctd3.tasks.motor_terms import ActionRate, Effort, EndStops
 from gctd3.tasks.randomisations import JointNoise
 from gctd3.tasks.reward import Reward
@@ -18,7 +15,7 @@ from gctd3.tasks.reward_terms import Ended, Living, Tilt
 from gctd3.tasks.simulated_task import Composition, SimulatedTask
 from gctd3.tasks.terminations import Fall, Survive
 from gctd3.tasks.terms import Command, Randomisation, RewardTerm, Termination
-from gctd3.tasks.velocity_command import NAME, VELOCITY, VelocityCommand
+from gctd3.tasks.velocity_command import NAME, VelocityCommand
 from gctd3.tasks.velocity_features import COMMANDS, privileged_features, velocity_features
 from gctd3.tasks.velocity_terms import StandStill, TrackVelocity, TrackYawRate
 
@@ -87,10 +84,6 @@ class VelocityTask(SimulatedTask):
 
     name = "velocity"
     abilities = SimulatedTask.abilities | {"commands"}
-
-    def stands(self, memory: Memory) -> np.ndarray:
-        """Return whether each robot is commanded to stand still, bool ``[*]``."""
-        return np.asarray((memory[VELOCITY] == 0.0).all(axis=-1))
 
     def command_ranges(self) -> dict[str, tuple[float, float]]:
         """Return the range of each number of the command by the name of its reading (m/s, m/s, rad/s)."""

@@ -99,8 +99,8 @@ class VelocityCommand(Command):
     forward: Sequence[float] = (-0.5, 1.0)
     side: Sequence[float] = (-0.4, 0.4)
     turn: Sequence[float] = (-0.8, 0.8)
-    standing: float = 0.15
-    begin: Sequence[float] | None = (0.0, 1.0)
+    standing: float = 0.1
+    begin: Sequence[float] | None = (0.4, 1.0)
     widen: float = 0.2
     error: float = 0.25
     turn_error: float = 0.3

@@ -291,27 +291,3 @@ def test_settings_out_of_range(key, value):
     with pytest.raises(ConfigError) as caught:
         ExplorationSettings(**{key: value})
     assert str(caught.value).startswith(f"{key} must be") and str(shown) in str(caught.value)
-
-
-def test_robots_that_are_to_stand_hold_their_pose_in_the_warm_up():
-    """Those that are commanded to stand act near the pose of the start, the others step; policies see no such key."""
-    from gctd3.envs.factory import build_env
-    from gctd3.envs.settings import EnvSettings
-    from gctd3.robots.settings import RobotSettings
-    from gctd3.tasks.velocity import VelocitySettings
-    from gctd3.tasks.velocity_command import HeldCommand
-
-    held = {"velocity": HeldCommand(rows=((0.0, 0.0, 0.0), (0.6, 0.0, 0.0), (0.0, 0.0, 0.4), (0.0, 0.0, 0.0)))}
-    task = VelocitySettings(commands=held).build(RobotSettings("quadruped"))
-    env = build_env(task, EnvSettings(num_envs=4, threads=1), 0)
-    state = env.reset()
-    assert state["stands"][:, 0].tolist() == [True, False, False, True]
-    actor = make_actor(task.graph, 15, 12)
-    explorer = Explorer(actor, task.robot, 4, ExplorationSettings(warmup="stepping", learning_starts=10_000))
-    assert "stands" not in actor.in_keys
-    away = torch.zeros(4)
-    for _ in range(20):
-        state = env.step(explorer(state))["next"]
-        away = torch.maximum(away, (explorer.rest - explorer(state.clone())["action"]).abs().mean(dim=1))
-    # Noise of 0.1 has a mean size of 0.08; a foot's path is longer.
-    assert away[[0, 3]].max() < 0.16 < away[[1, 2]].min()
