@@ -138,7 +138,7 @@ INSTALL |= {"python -m sphinx docs site"}
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory, finished):
-    """Make a folder with a stopped run, one that follows commands, a sweep, an MJCF of a robot that does not ship, its YAML."""
+    """Make a folder with a stopped run, one that follows commands, a sweep, and the MJCF and YAML of another robot."""
     root = tmp_path_factory.mktemp("pages")
     run = train(root / RUN, "total_frames=160")
     for seed in range(2):
