@@ -42,6 +42,7 @@ PAPER = {
 }
 # Columns that a page does not treat as numbers.
 UNIT, MEANING, OUTCOME, DIRECTORY, FINDING = "unit", "what it is", "outcome", "directory", "verdict"
+TEXTS = ("", "key", UNIT, MEANING, OUTCOME, DIRECTORY, FINDING)  # columns without numbers; the first names the row
 FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")  # beginnings of what a spreadsheet computes
 SEPARATED = r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?"  # a number with separators of thousands
 
@@ -72,16 +73,17 @@ class Table:
         has an apostrophe before it, which spreadsheets take for the mark of a text.
         """
         text = io.StringIO()
-        rows = columns_of_numbers(self.head, self.rows)
-        csv.writer(text, lineterminator="\n").writerows([[_plain(cell) for cell in row] for row in rows])
+        head, *rows = columns_of_numbers(self.head, self.rows)
+        plain = [[_plain(cell, column in TEXTS) for column, cell in zip(head, row, strict=True)] for row in rows]
+        csv.writer(text, lineterminator="\n").writerows([[_plain(name, True) for name in head], *plain])
         return text.getvalue()
 
 
-def _plain(cell: str) -> str:
+def _plain(cell: str, is_text: bool) -> str:
     """Return a cell of a CSV file: a number that programs read, or a text that nothing computes."""
-    if cell == "-":
+    if cell == "-" and not is_text:
         return ""
-    number = cell.replace(",", "") if re.fullmatch(SEPARATED, cell) else cell
+    number = cell.replace(",", "") if not is_text and re.fullmatch(SEPARATED, cell) else cell
     if re.fullmatch(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?", number):
         return number
     return f"'{cell}" if cell.startswith(FORMULA) else str(cell)

@@ -25,8 +25,10 @@ from gctd3.deploy.robot_contract import Rehearsed, _feature, describe, sensed, w
 from gctd3.errors import ConfigError, ContractError, ReadingError, RobotError
 from gctd3.files import checksum
 from gctd3.nn import Network
+from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.features import Reading
 from gctd3.tasks.reflection import Reflection
+from gctd3.tasks.walk import WalkSettings
 from gctd3.training.saved_configuration import save_config
 
 pytest.importorskip("onnxscript")
@@ -369,9 +371,11 @@ def test_readings_that_only_a_simulator_has_are_named():
     assert (contract.safety.tilt_readings, contract.safety.most_tilt_rad) == (("roll_rad", "pitch_rad"), 0.8)
 
 
-def test_a_count_of_contacts_is_not_binary(robot):
+def test_a_count_of_contacts_is_not_binary():
     counted = Reading("feet_down", "number of feet on the ground", "contact")
-    feature = _feature(robot, "ground", counted, np.array([0.0, 1.0, 2.0]), 0.0, 2.0)
+    feature = _feature(
+        WalkSettings().build(RobotSettings("biped")), "ground", counted, np.array([0.0, 1.0, 2.0]), 0.0, 2.0
+    )
     assert (feature.binary, feature.low, feature.high, feature.source) == (False, -2.0, 4.0, "not stated")
 
 

@@ -92,7 +92,7 @@ BUDGET = [f"{key}={value}" for key, value in TINY.items()]
 # What is added to a command, so that it takes seconds; the last of two values counts.
 SMALL = {
     "train": BUDGET,
-    "evaluate": ["episodes=2", "threads=1"],
+    "evaluate": ["episodes=2", "threads=1", "grid.forward=2", "grid.side=1", "grid.turn=1", "grid.starts=1"],
     "report": ["episodes=2", "threads=1"],
     "render": ["width=64", "height=48", "columns=2", "rows=1", "seconds=0.1"],
     "export": ["episodes=2", "threads=1"],
@@ -115,7 +115,6 @@ INSTEAD = {
     # Of its twenty runs one, and of its kinds of perturbation the fewest.
     "experiment=table5": "experiment=table5 algo=gctd3 seed=0",
     "robustness=true": "robustness=true perturbations.impulses=[5] perturbations.phases=1 perturbations.starts=1",
-    "commands=true": "commands=true grid.forward=2 grid.side=1 grid.turn=1 grid.starts=1 grid.seconds=2",
 }
 NEEDS = {
     "view": ["mjviser"],
@@ -139,7 +138,7 @@ INSTALL |= {"python -m sphinx docs site"}
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory, finished):
-    """Make a folder with two stopped runs, a sweep, an MJCF of a robot that does not ship, and its YAML."""
+    """Make a folder with a stopped run, one that follows commands, a sweep, and the MJCF and YAML of another robot."""
     root = tmp_path_factory.mktemp("pages")
     run = train(root / RUN, "total_frames=160")
     for seed in range(2):

@@ -25,7 +25,7 @@ def of(module, kind):
 
 # The shipped terms, with limits that are reached within a few steps.
 SOONER = {"LongContact": {"steps": 2}, "StuckHip": {"steps": 3}, "TimeLimit": {"steps": 8}, "SwingTime": {"most": 0.02}}
-SOONER["SwingTime"]["least"] = 0.02
+SOONER["SwingTime"]["least"], SOONER["Survive"] = 0.02, {"steps": 9}
 REWARDS = {
     kind.__name__: kind(**SOONER.get(kind.__name__, {}))
     for module in (reward_terms, motor_terms, velocity_terms)
