@@ -70,7 +70,7 @@ DIVERGED, SHORT, EQUAL = "diverged", "short", "equal"
 
 
 class Watch:
-    """Check the first batches of a training.
+    """Evaluate the first batches of a training.
 
     Args:
         settings: The signs.
