@@ -68,7 +68,7 @@ DIVERGED, SHORT, EQUAL = "diverged", "short", "equal"
 
 
 class Watch:
-    """Judge the first batches of a training.
+    """Evaluate the first batches of a training.
 
     Args:
         settings: The signs.
