@@ -6,6 +6,7 @@ from itertools import product
 
 import pytest
 import torch
+from fuzzing import Idle
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 from resuming import TIMED, StopAfter, assert_same_run, stopped
@@ -271,6 +272,14 @@ def test_a_setting_that_changes_numbers_is_named(tmp_path, change, said):
     assert line is None if said is None else line.startswith(f"{said}: ")
 
 
+def test_a_resumed_run_says_that_its_numbers_change(finished, tmp_path, monkeypatch, capsys):
+    run = finished.copy("gctd3", tmp_path / "run")
+    monkeypatch.setattr(torch, "set_num_threads", lambda count: None)  # other tests of this process have one
+    capsys.readouterr()
+    assert command("train", f"resume={run}", "total_frames=400", "threads=2", trainer=Idle) == 0
+    assert "threads 1 -> 2: from here on" in capsys.readouterr().out
+
+
 def damage_manifest(best):
     (best / "manifest.json").write_text("{")
 
@@ -285,10 +294,9 @@ def test_a_lost_best_policy_is_noticed_and_replaced(finished, tmp_path, capsys, 
     (best,) = (run / "checkpoints").glob("best-*")
     damage(best)
     capsys.readouterr()
-    assert command("train", f"resume={run}", "total_frames=320", "threads=2") == 0
-    said = capsys.readouterr()
-    assert f"of {int(best.name[5:]):,} steps, is lost" in said.err and str(run / "checkpoints") in said.err
-    assert "threads 1 -> 2: from here on" in said.out
+    assert command("train", f"resume={run}", "total_frames=320") == 0
+    error = capsys.readouterr().err
+    assert f"of {int(best.name[5:]):,} steps, is lost" in error and str(run / "checkpoints") in error
     assert load_policy(run) is not None
     assert Checkpoints(run).newest()[0]["best"]["frames"] == 320
 
