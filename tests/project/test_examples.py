@@ -80,7 +80,7 @@ def test_sac():
 
 
 @pytest.mark.parametrize(
-    "algo", [pytest.param("td3", marks=pytest.mark.nightly), pytest.param("sac", marks=pytest.mark.nightly), "ppo"]
+    "algo", ["td3", pytest.param("sac", marks=pytest.mark.nightly), pytest.param("ppo", marks=pytest.mark.nightly)]
 )
 def test_stable_baselines3(algo, tmp_path, capsys):
     baselines = pytest.importorskip("stable_baselines3")
