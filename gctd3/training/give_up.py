@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from tensordict import TensorDictBase
 
 from gctd3.errors import check_between
+
+# Settings import no PyTorch.
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+    from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -164,5 +167,5 @@ class Watch:
 
 
 def _row(after: TensorDictBase, key: str, step: int) -> np.ndarray:
-    values: torch.Tensor = after[key]
+    values: Tensor = after[key]
     return values[:, step, 0].cpu().numpy()
