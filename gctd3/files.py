@@ -274,6 +274,8 @@ def read_manifest(directory: Path) -> dict[str, Any]:
     try:
         whole = json.loads(path.read_text(encoding="utf-8"))
         content: dict[str, Any] = whole["content"]
+        if not isinstance(content, dict):
+            raise TypeError("its content is no mapping")
         if seal(content) != whole["sha256"]:
             raise RunError(f"{path} is damaged: its checksum does not fit.")
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:

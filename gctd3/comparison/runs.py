@@ -163,7 +163,7 @@ def _trouble(run: Run) -> str | None:
     """Describe the crash of a training or how far it got before it was stopped; ``None`` if it came to its end."""
     if (run.directory / POST_MORTEM).is_dir():
         try:
-            return f"crashed: {read_manifest(run.directory / POST_MORTEM)['error']}"
+            return f"crashed: {read_manifest(run.directory / POST_MORTEM).get('error')}"
         except (RunError, KeyError):
             return f"crashed; {POST_MORTEM} cannot be read"
     config, rows = run.config, run.rows

@@ -107,13 +107,14 @@ class Checkpoints:
         for path in paths:
             try:
                 manifest = checked(path)
-                for part in manifest["replay"]:
+                parts = _parts_in(manifest, path)
+                for part in parts:
                     check_file(self.directory / REPLAY / part["file"], part["sha256"])
                 state: dict[str, Any] = load_tree(path / STATE)
             except RunError as error:
                 print(f"Passed over a checkpoint: {error}", file=sys.stderr)
                 continue
-            rows = ((part["start"], load_tree(self.directory / REPLAY / part["file"])) for part in manifest["replay"])
+            rows = ((part["start"], load_tree(self.directory / REPLAY / part["file"])) for part in parts)
             return state, rows
         if paths:
             raise RunError(f"All {len(paths)} checkpoints in {self.directory} are damaged.")
@@ -167,7 +168,7 @@ class Checkpoints:
         """Return the parts of the replay that the newest checkpoint names."""
         for path in sorted(self.directory.glob("step-*"), reverse=True):
             with contextlib.suppress(RunError):
-                return list(read_manifest(path)["replay"])
+                return _parts_in(read_manifest(path), path)
         return []
 
     def _drop(self) -> None:
@@ -179,7 +180,7 @@ class Checkpoints:
         named = set()
         for path in paths[-self.keep :]:
             with contextlib.suppress(RunError):
-                named |= {part["file"] for part in read_manifest(path)["replay"]}
+                named |= {part["file"] for part in _parts_in(read_manifest(path), path)}
         for file in (self.directory / REPLAY).glob("*"):
             if file.name not in named:
                 remove(file)
@@ -215,14 +216,49 @@ def checked(path: Path) -> dict[str, Any]:
         RunError: If it is damaged, or of another format.
     """
     manifest = read_manifest(path)
+    versions, files, frames = (manifest.get(key) for key in ("versions", "files", "frames"))
+    writer = versions.get("gctd3") if isinstance(versions, dict) else None
     if manifest.get("format") != FORMAT:
         raise RunError(
-            f"{path} has format {manifest.get('format')!r}, written by gctd3 "
-            f"{manifest.get('versions', {}).get('gctd3')!r}; gctd3 {gctd3.__version__} reads format {FORMAT}."
+            f"{path} has format {manifest.get('format')!r}, written by gctd3 {writer!r}; gctd3 {gctd3.__version__} "
+            f"reads format {FORMAT}."
         )
-    for name, seal in manifest["files"].items():
+    needed = STATE if path.name.startswith("step-") else POLICY
+    known = isinstance(versions, dict) and _is_count(frames)
+    if not (known and isinstance(files, dict) and needed in files and all(map(_is_file_name, files))):
+        raise RunError(f"{path / MANIFEST} is damaged: it must name {needed}, the frames and the versions.")
+    for name, seal in files.items():
         check_file(path / name, seal)
     return manifest
+
+
+def _parts_in(manifest: Mapping[str, Any], path: Path) -> list[dict[str, Any]]:
+    """Return the parts of the replay that the manifest of a checkpoint names.
+
+    Raises:
+        RunError: If they are not in the form in which :meth:`Checkpoints.save` writes them.
+    """
+    parts = manifest.get("replay")
+    if not isinstance(parts, list) or not all(map(_is_part, parts)):
+        raise RunError(
+            f"{path / MANIFEST} is damaged: its replay must be a list of parts with file, rows and checksum."
+        )
+    return list(parts)
+
+
+def _is_part(part: object) -> bool:
+    if not isinstance(part, dict) or not all(_is_count(part.get(key)) for key in ("start", "stop")):
+        return False
+    return _is_file_name(part.get("file")) and isinstance(part.get("sha256"), str)
+
+
+def _is_file_name(name: object) -> bool:
+    """Tell whether a name in a manifest is that of a file beside it, not a path to elsewhere."""
+    return isinstance(name, str) and name == Path(name).name and name not in ("", ".", "..")
+
+
+def _is_count(number: object) -> bool:
+    return isinstance(number, int) and not isinstance(number, bool) and number >= 0
 
 
 def fit(path: Path, load: Callable[[], object]) -> None:

@@ -30,6 +30,7 @@ from gctd3.files import (
     write_text,
 )
 from gctd3.runs.load import load_policy
+from gctd3.training.checkpoint import Checkpoints
 from gctd3.training.saved_configuration import load_settings
 
 
@@ -228,6 +229,52 @@ def test_a_directory_that_a_killed_process_left_is_not_used_and_can_be_removed(t
     assert [path.name for path in (tmp_path / "step-1").iterdir()] == ["whole"]
     remove_leftovers(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["step-1"]
+
+
+def parts(change):
+    def damage(content):
+        content["replay"] = change(content["replay"])
+
+    return damage
+
+
+MALFORMED = {
+    "no replay": lambda content: content.pop("replay"),
+    "replay of another kind": parts(lambda rows: {"0": rows}),
+    "part of another kind": parts(lambda rows: [*rows, "rows"]),
+    "part without its file": parts(lambda rows: [{k: v for k, v in row.items() if k != "file"} for row in rows]),
+    "part elsewhere": parts(lambda rows: [{**row, "file": f"../{row['file']}"} for row in rows]),
+    "rows of another kind": parts(lambda rows: [{**row, "start": "0"} for row in rows]),
+    "no files": lambda content: content.pop("files"),
+    "files of another kind": lambda content: content.update(files=["state.safetensors"]),
+    "other files": lambda content: content.update(files={}),
+    "a file elsewhere": lambda content: content["files"].update({"../../../etc/passwd": "0"}),
+    "frames of another kind": lambda content: content.update(frames="many"),
+    "no versions": lambda content: content.update(versions=None),
+    "another format, no versions": lambda content: content.update(versions=None, format=3),
+}
+
+
+@pytest.mark.parametrize("case", MALFORMED)
+def test_a_manifest_whose_checksum_fits_is_still_not_trusted(run, tmp_path, capsys, case):
+    """Whoever changes a manifest can compute its checksum."""
+    copied = shutil.copytree(run, tmp_path / "run")
+    newest = max((copied / "checkpoints").glob("step-*"))
+    for old in set((copied / "checkpoints").glob("step-*")) - {newest}:
+        shutil.rmtree(old)
+    content = read_manifest(newest)
+    MALFORMED[case](content)
+    write_manifest(newest, content)
+    with pytest.raises(RunError, match="All 1 checkpoints"):
+        Checkpoints(copied).newest()
+    assert f"Passed over a checkpoint: {newest}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", [[], "x", None, 3])
+def test_a_manifest_that_holds_no_mapping(tmp_path, content):
+    write_manifest(tmp_path, content)
+    with pytest.raises(RunError, match="no mapping"):
+        read_manifest(tmp_path)
 
 
 def names_of_writes(monkeypatch):
