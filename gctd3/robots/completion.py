@@ -84,6 +84,7 @@ def complete(
     for sentence in before:
         draft.edit(sentence)
     first = draft.model
+    _check_places(first, file)
     names, several = [joint_name(first, j) for j in draft.joints()], len(settings.sources) > 1
     check_patterns(settings.servos, names, "robot.servos", file, several)
     floor = _ground(draft)
@@ -117,6 +118,19 @@ def complete(
     _passive(draft)
     _try(draft, feet, floor)
     return Completed(draft.model, spec, tuple(draft.notes), held, draft.root_name, tuple(feet))
+
+
+def _check_places(model: mujoco.MjModel, file: Path) -> None:
+    """Refuse a file with a part that is nowhere, or farther away than MuJoCo reckons with."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for kind, places in (("body", data.xpos), ("geom", data.geom_xpos)):
+        # A comparison with NaN is false.
+        away = np.flatnonzero(~(np.abs(places) < mujoco.mjMAXVAL).all(axis=1))
+        if len(away):
+            part = int(away[0])
+            name = getattr(model, kind)(part).name or f"number {part}"
+            raise RobotError(f"{file}: {kind} {name} is at {places[part].tolist()} m.")
 
 
 # Ground.
@@ -204,6 +218,11 @@ def _stand(
     feet = ends if named is not None else list(stood.feet)
     if named is None and key is None:
         feet = home_pose.like_legs(model, root, ends, feet)
+    if not feet:
+        raise RobotError(
+            f"{draft.file}: none of {listed([body_name(model, body) for body in ends])} reaches the ground in the pose "
+            "in which the robot stands."
+        )
     sensed = contact_sensors(model, root)
     split: list[list[int]] = []
     for body in feet:
