@@ -12,10 +12,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from gctd3.errors import ConfigError
-from gctd3.robots.gait_pattern import GaitPattern
+from gctd3.robots.gait_pattern import GRAVITY, GaitPattern
 from gctd3.robots.robot import Robot
-
-GRAVITY = 9.81  # m/s^2
 
 
 class Stepping(torch.nn.Module):
@@ -24,7 +22,8 @@ class Stepping(torch.nn.Module):
     The path of a foot about its place in the standing pose becomes joint angles by the pseudo-inverse of its leg's
     Jacobian. Left and right feet step half a period apart; the phases of the pairs, frequency, length and height of
     the steps, a shift of each pair of feet, a crouch and a sway are drawn, and evolve: each robot tries a gait for a
-    while, remembers its best one, and most new gaits are mutations of what a few robots remember. The fitness of a gait
+    while, remembers its best one, and most new gaits are mutations of what a few robots remember. Some trials, and all
+    in the last round, are of a remembered gait, which then counts by the mean. The fitness of a gait
     is the distance that it covers while it is tried, as far as a brisk walk would get, less a penalty if the robot
     falls. Lengths are in leg lengths and frequencies in those of a pendulum as long as the leg, so that the same
     numbers serve robots of all sizes.

@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from gctd3.evaluation.gait_metrics import debounce
-
-GRAVITY = 9.81  # m/s^2
+from gctd3.robots.gait_pattern import GRAVITY
 
 
 def mechanical_work(torque: np.ndarray, speed: np.ndarray, dt: float) -> tuple[float, float]:

@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gctd3.errors import ConfigError, check_between
+from gctd3.robots.gait_pattern import GRAVITY
 from gctd3.tasks.gait_memory import AIR_STEPS
 from gctd3.tasks.terms import Array, Remembered, RewardTerm, RobotFacts, Step, recent
-
-GRAVITY = 9.81  # m/s^2, of Froude numbers
 
 
 @dataclass(frozen=True)
