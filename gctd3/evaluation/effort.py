@@ -8,7 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from gctd3.evaluation.gait_metrics import debounce
-from gctd3.robots.gait_pattern import GRAVITY
+
+# m/s^2; here too, since this file needs NumPy alone.
+GRAVITY = 9.81
 
 
 def mechanical_work(torque: np.ndarray, speed: np.ndarray, dt: float) -> tuple[float, float]:
