@@ -2,10 +2,10 @@
 
     python benchmarks/viewer_memory.py [minutes=60] [clients=5] [out=FILE.json] [run=DIR]
 
-Runs ``python -m gctd3.view`` with so many websocket clients (those of the tests: they read all that a page reads). Every
-15 s one of them changes a slider, resets the walk, or leaves without a word while another comes; the process's memory is
-read then (from ``/proc``, so on Linux). Growth is that of the medians: the last tenth of the time against the second
-tenth, since the first holds what is loaded when the first page comes.
+Runs ``python -m gctd3.view`` with so many websocket clients (those of the tests: they read all that a page reads).
+Every 15 s one of them changes a slider, resets the walk, or leaves without a word while another comes; the process's
+memory is read then (from ``/proc``, so on Linux). Growth is that of the medians: the last tenth of the time against the
+second tenth, since the first holds what is loaded when the first page comes.
 """
 
 from __future__ import annotations
