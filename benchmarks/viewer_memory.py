@@ -57,7 +57,8 @@ def watch(viewer: Viewer, count: int, minutes: float) -> list[Sample]:
         if now >= minutes:
             return samples
         if viewer.process.poll() is not None:
-            raise SystemExit(f"the viewer ended with {viewer.process.returncode}")
+            said = viewer.process.communicate()[0]
+            raise SystemExit(f"{said}\nthe viewer ended with {viewer.process.returncode}")
         disturb(clients, viewer.port, turn)
         clients[(turn + 1) % count].goes_on()
         samples.append((round(now, 2), clients[(turn + 1) % count].time, viewer.memory() / 1e6))

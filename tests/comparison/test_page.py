@@ -11,6 +11,7 @@ import pytest
 from browsers import chromium
 from made_up_runs import examined, make
 from omegaconf import OmegaConf
+from thinned import parametrize
 
 from gctd3.errors import RenderError
 from gctd3.training.saved_configuration import CONFIG, find_run
@@ -182,7 +183,7 @@ def test_no_table_is_cut(opened, width):
     assert every(page, "[aria-label=Gaits] th", "e.textContent") == ["", *GROUPS]
 
 
-@pytest.mark.parametrize("width", [390, 1280])
+@parametrize(2, "width", [390, 1280])
 def test_a_sentence_stands_above_the_comparisons_and_the_rest_is_folded(opened, width):
     page = opened(width, unfolded=False)
     after = every(page, "#verdict ~ *", "e.className || e.tagName")[:4]

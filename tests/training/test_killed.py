@@ -239,6 +239,7 @@ def assert_goes_on(whole, run, *overrides):
     assert not list(run.rglob("*.tmp"))
 
 
+@pytest.mark.nightly
 def test_what_a_kill_inside_a_checkpoint_would_leave_goes_on(finished, tmp_path, monkeypatch):
     """A kill leaves of a run what is on the disk at that moment, which a copy keeps."""
     whole, run = finished["gctd3"], tmp_path / "run"

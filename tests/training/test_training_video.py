@@ -23,6 +23,7 @@ def runs(finished, tmp_path_factory):
     return filmed, finished["gctd3"]
 
 
+@pytest.mark.nightly
 def test_every_evaluated_policy_is_filmed(runs):
     videos = sorted((runs[0] / "videos").iterdir())
     assert [file.name for file in videos] == [f"{int(row['frames']):012d}.mp4" for row in rows(runs[0])]
