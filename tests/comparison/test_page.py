@@ -140,7 +140,7 @@ def films():
     return {f"{GROUPS[0]}, seed 0: a stride"}
 
 
-@pytest.mark.parametrize("width", [375, 1280])
+@parametrize(2, "width", [375, 1280])
 def test_every_figure_is_there_and_has_a_size(opened, width):
     page = opened(width)
     titles = every(page, "figure h3", "e.textContent")
@@ -231,6 +231,7 @@ def test_the_first_column_stays_where_a_table_scrolls(opened):
     assert every(page, f"{gaits} tr > :nth-child(2)", place) == [left - 50 for left in cells]
 
 
+@pytest.mark.nightly
 def test_right_and_left_are_told_apart(opened):
     page = opened(1280)
     for group in GROUPS[:2]:

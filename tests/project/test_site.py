@@ -115,7 +115,7 @@ def hydras(tmp_path):
     return tmp_path
 
 
-@parametrize(3, "line", sorted(SHOWN))
+@parametrize(6, "line", sorted(SHOWN))
 def test_a_shown_command_composes(line, hydras):
     _, _, module, *arguments = SHOWN[line]
     name = module.removeprefix("gctd3.")

@@ -80,6 +80,7 @@ def test_stopped_while_it_imitates_a_gait(tmp_path, capsys):
     assert_same_run(whole, part)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("storage", ["frames", pytest.param("stacked", marks=pytest.mark.nightly)])
 def test_stopped_after_it_had_begun_again(tmp_path, storage):
     never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=80", "exploration.learning_starts=40"]

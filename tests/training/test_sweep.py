@@ -87,6 +87,7 @@ def test_a_report_tells_the_runs_of_a_ready_sweep_apart(experiment, tmp_path):
     assert all([run.seed for run in runs] == list(SEEDS) for runs in groups.values())
 
 
+@pytest.mark.nightly
 def test_the_mlp_among_the_graphs_has_as_many_parameters():
     sizes = {}
     for overrides, config in jobs("graphs"):

@@ -34,6 +34,7 @@ def test_every_evaluated_policy_is_filmed(runs):
     assert not (runs[1] / "videos").exists()
 
 
+@pytest.mark.nightly
 def test_tensorboard_shows_them(runs):
     module = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     accumulator = module.EventAccumulator(str(runs[0] / "tensorboard"))
