@@ -65,7 +65,8 @@ class Stepping(torch.nn.Module):
         "lift": (0.05, 0.5, False),  # leg lengths
         "duty": (0.5, 0.75, False),  # share of a period in which a foot goes backwards
         "softness": (1.0, 2.0, False),  # of lifting off and touching down: power of the sine of the height
-        "lead": (-0.05, 0.1, False),  # of the actions, since servos take their time; periods
+        "lead": (-0.05, 0.15, False),  # of the way, since servos take their time; periods
+        "lag": (-0.1, 0.1, False),  # of the lift, periods; below 0 it is later
         "crouch": (-0.2, 0.1, False),  # leg lengths; below 0 legs stretch against what they carry
         "sway": (-0.1, 0.1, False),  # of the body to the side, leg lengths
         "sway_phase": (0.0, 1.0, False),  # periods
@@ -206,8 +207,8 @@ class Stepping(torch.nn.Module):
     def _act(self, genes: dict[str, Tensor], cycles: Tensor) -> Tensor:
         turn = 2 * math.pi
         phase = cycles[:, None] + genes["phase"][:, self.pair_of] + self.lagging
-        ahead, duty, softness = (genes[name][:, None] for name in ("lead", "duty", "softness"))
-        way, lift = foot_path(phase + ahead, duty, softness)
+        lead, lag, duty, softness = (genes[name][:, None] for name in ("lead", "lag", "duty", "softness"))
+        way, lift = foot_way(phase + lead, duty), foot_height(phase + lag, softness)
         forward = genes["shift"][:, self.pair_of] + genes["stride"][:, None] * way
         up = genes["crouch"][:, None] + genes["lift"][:, None] * lift - self.arc * forward.square()
         sway = genes["sway"] * torch.sin(turn * (cycles + genes["sway_phase"]))
@@ -269,28 +270,37 @@ class OpenLoop(TensorDictModuleBase):
         return tensordict.set("action", action.expand(*tensordict.batch_size, -1).clone())
 
 
-def foot_path(phase: Tensor, duty: Tensor, softness: Tensor) -> tuple[Tensor, Tensor]:
-    """Return how far a foot is forwards, from -1 to 1, and how high, from 0 to 1, in a stride.
+def foot_way(phase: Tensor, duty: Tensor) -> Tensor:
+    """Return how far a foot is forwards in a stride, from -1 to 1.
 
     On the ground it moves backwards at a constant speed, as the ground does below a body of constant speed. In the air
-    it moves forwards with the least jerk (Flash & Hogan 1985) beside that speed. It is lifted for half a period, so
-    that a leg whose load has bent it is unloaded before the foot goes forwards, and loaded again after that.
+    it moves forwards with the least jerk (Flash & Hogan 1985) beside that speed, so that it neither jerks nor slides
+    when it lifts off and touches down.
 
     Args:
         phase: Phase of the foot, ``[*]`` (periods); the middle of its swing is at a quarter.
         duty: Share of a period in which it goes backwards, ``[*]``.
-        softness: Power of the sine of its height, ``[*]``; it touches down at a speed of 0 if above 1.
 
     Returns:
-        Place in halves of its way, which it overshoots by up to 0.2 in the air, and height, each ``[*]``.
+        Places in halves of its way, ``[*]``, which it overshoots by up to 0.2 in the air.
     """
     swing = ((phase + 0.25) % 1.0 - 0.5) / (1.0 - duty) + 0.5
     stance = ((phase - 0.25) % 1.0 - 0.5) / duty + 0.5
     back = 2.0 * (1.0 - duty) / duty  # of the ground, while the foot swings
     air = (2.0 + back) * swing**3 * ((6.0 * swing - 15.0) * swing + 10.0) - back * swing - 1.0
-    up = (swing > 0.0) & (swing < 1.0)
-    height = torch.sin(2 * math.pi * phase).clamp(min=0.0) ** softness
-    return torch.where(up, air, 1.0 - 2.0 * stance), height
+    return torch.where((swing > 0.0) & (swing < 1.0), air, 1.0 - 2.0 * stance)
+
+
+def foot_height(phase: Tensor, softness: Tensor) -> Tensor:
+    """Return how high a foot is in a stride, from 0 to 1: a power of a sine in the first half of its period.
+
+    That is longer than it goes forwards, so that a leg that its load has bent is unloaded before, and loaded after.
+
+    Args:
+        phase: Phase of the foot, ``[*]`` (periods).
+        softness: The power, ``[*]``; it touches down at a speed of 0 if above 1.
+    """
+    return torch.sin(2 * math.pi * phase).clamp(min=0.0) ** softness
 
 
 def _groups(robot: Robot) -> tuple[Tensor, Tensor]:
