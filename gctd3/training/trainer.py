@@ -33,12 +33,8 @@ from gctd3.data.stepping import Stepping
 from gctd3.envs.factory import EnvRecipe, build_env
 from gctd3.errors import NumericalError, RunError, TrainingError, WorkerError
 from gctd3.evaluation.rollout import evaluate
-<<<<<<< HEAD
 from gctd3.evaluation.summary import summarize
-from gctd3.files import new_directory, save_tree, shown, write_manifest, write_text
-=======
 from gctd3.files import new_directory, quoted, save_tree, write_manifest, write_text
->>>>>>> main
 from gctd3.setup.setup import Setup
 from gctd3.signals import StopRequest
 from gctd3.tasks.simulated_task import SimulatedTask
