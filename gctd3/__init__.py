@@ -91,7 +91,6 @@ _TARGETS = {
     "StopWhen": "gctd3.training.stop_when",
     "Survive": "gctd3.tasks.terminations",
     "StuckHip": "gctd3.tasks.terminations",
-    "StanceTime": "gctd3.tasks.reward_terms",
     "SwingTime": "gctd3.tasks.reward_terms",
     "TD3Settings": "gctd3.algorithms.settings",
     "Tilt": "gctd3.tasks.reward_terms",

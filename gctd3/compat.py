@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import os
 import sys
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -123,6 +124,27 @@ def import_compiler() -> None:
     later = sys.modules.get(_DYNAMO)
     if isinstance(later, _Later):
         later.load()
+
+
+# MuJoCo
+
+
+@contextlib.contextmanager
+def without_screen() -> Iterator[None]:
+    """Let MuJoCo be imported in the block without GLFW, whose search for its library takes up to half a second.
+
+    Only ``mujoco.Renderer`` needs it, which gctd3 does not use. All names are public; that MuJoCo imports GLFW unless
+    ``MUJOCO_GL`` says otherwise is not documented (mujoco 3.17.0).
+    """
+    before = os.environ.get("MUJOCO_GL")
+    os.environ["MUJOCO_GL"] = "disable"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["MUJOCO_GL"]
+        else:
+            os.environ["MUJOCO_GL"] = before
 
 
 # TensorDict

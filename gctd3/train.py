@@ -16,8 +16,12 @@ def main() -> None:
     if helped("config"):
         return
     # Late, as everything that takes long: --help answers at once.
+    from gctd3.compat import without_screen
     from gctd3.config.command_line import command
     from gctd3.config.paths import plain, quoted
+
+    with without_screen():
+        import mujoco  # noqa: F401 - first here
     from gctd3.training.saved_configuration import CONFIG, HARMLESS, choices
     from gctd3.training.session import train
     from gctd3.training.sweep import end

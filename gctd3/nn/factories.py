@@ -9,17 +9,13 @@ from torch import nn
 from torchrl.data import Bounded
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
-from gctd3.compat import PlainOutputs
 from gctd3.errors import ConfigError
 from gctd3.nn.actor import ACTION, NODES, ClippedExp
 from gctd3.nn.critic import PRIVILEGED, VALUE
+from gctd3.nn.plain_module import PlainModule
 from gctd3.nn.settings import Network, NetworkSettings, Scale
 from gctd3.robots.graph import KinematicGraph
 from gctd3.tasks.reflection import Reflection
-
-
-class PlainModule(PlainOutputs, TensorDictModule):
-    """Write what a module returns, which are tensors, as it is."""
 
 
 def make_actor(

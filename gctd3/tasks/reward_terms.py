@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from gctd3.errors import ConfigError, check_between
 from gctd3.robots.gait_pattern import GRAVITY
-from gctd3.tasks.gait_memory import AIR_STEPS, CONTACT_STEPS
+from gctd3.tasks.gait_memory import AIR_STEPS
 from gctd3.tasks.terms import Array, Remembered, RewardTerm, RobotFacts, Step, recent
 
 
@@ -240,37 +240,6 @@ class SwingTime(RewardTerm):
         touchdown = step.now.feet_down & (before > 0)
         # The weight is inside the sum, since to multiply the sum by it would differ in the last bit.
         return xp.sum(xp.where(touchdown, self.weight * off, 0.0), axis=-1)
-
-
-@dataclass(frozen=True)
-class StanceTime(RewardTerm):
-    """Penalise, when a foot leaves the ground, a contact that was too long.
-
-    With :class:`SwingTime` it bounds the time of a stride.
-
-    Attributes:
-        weight: Reward per second too long (1/s).
-        most: Longest contact without a penalty (s).
-    """
-
-    weight: float = -12.0
-    most: float = 0.4
-
-    def __post_init__(self) -> None:
-        if not self.most >= 0:
-            raise ConfigError(f"most must be at least 0 s, got {self.most}.")
-
-    def remembers(self) -> tuple[Remembered, ...]:
-        """Return the array of each foot's contact time."""
-        return (CONTACT_STEPS,)
-
-    def __call__(self, step: Step) -> Array:
-        """Return ``weight * sum(max(0, t - most))`` over the feet that leave the ground, shape ``[*]``."""
-        xp, before = step.xp, step.before[CONTACT_STEPS.name]
-        long = before * step.facts.control_dt - self.most
-        off = xp.where(long > 0.0, long, 0.0)
-        leaves = ~step.now.feet_down & (before > 0)
-        return xp.sum(xp.where(leaves, self.weight * off, 0.0), axis=-1)
 
 
 @dataclass(frozen=True)
