@@ -1,13 +1,13 @@
-"""Time the whole command, as a user waits for it: an older commit and this checkout side by side, the same seeds in turn.
+"""Time the whole command, as a user waits for it: an older commit and this checkout, on the same seeds in turn.
 
     python benchmarks/whole_command.py old=../gctd3-d2e05c5
     python benchmarks/whole_command.py old=../gctd3-d2e05c5 what=experiment=table5_best tuned= untuned=20,21,22
     python benchmarks/whole_command.py old=../gctd3-d2e05c5 threads=1 env.threads=1
 
-``old`` is a git worktree of ``commit``; it is made if it is not there. Both builds run from their trees with the packages
-of this Python. Each training is a process of its own, whose policy is then evaluated over 50 episodes by its own build;
-the time of the command is what counts, from its start to its end. Results are kept after every training in ``out``, and
-what it holds is not run again. Other keys are passed on to the trainings, so both builds must know them.
+``old`` is a git worktree of ``commit``; it is made if it is not there. Both builds run from their trees with the
+packages of this Python. Each training is a process of its own, whose policy is then evaluated over 50 episodes by its
+own build; the time of the command is what counts, from its start to its end. Results are kept after every training in
+``out``, and what it holds is not run again. Other keys are passed on to the trainings, so both builds must know them.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Build:
         self.env = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "GCTD3_TREE": str(tree)}
 
     def call(self, log: Path, cap: float, command: str, *arguments: str, **more: str) -> tuple[float, float, int]:
-        """Run a command; return its time (s), its largest resident memory (MB) and its exit code, -9 after ``cap`` s."""
+        """Run a command; return its time (s), its largest resident memory (MB) and its exit code: -9 after ``cap``."""
         with log.open("a") as stream:
             began = time.monotonic()
             process = subprocess.Popen(
@@ -145,7 +145,9 @@ def missed(row: dict[str, Any], what: str) -> list[str]:
     seen = {**row["evaluation"].get("gait", {}), **row["evaluation"]}
     least, most = (FASTER, {}) if "table5_best" in what else (WALK, WALK_MOST)
     low = [f"{name} {seen.get(name)} < {bound}" for name, bound in least.items() if not seen.get(name, -1e9) >= bound]
-    return low + [f"{name} {seen.get(name)} > {bound}" for name, bound in most.items() if not seen.get(name, 1e9) <= bound]
+    return low + [
+        f"{name} {seen.get(name)} > {bound}" for name, bound in most.items() if not seen.get(name, 1e9) <= bound
+    ]
 
 
 def compare(rows: list[dict[str, Any]], seeds: list[int], what: str) -> dict[str, Any]:
@@ -198,8 +200,6 @@ def main() -> None:
     if not own["old"]:
         raise SystemExit(f"old= must name a git worktree of {own['commit']}; it is made if it is not there")
     old, out, runs = Path(own["old"]).resolve(), Path(own["out"]), Path(own["runs"]).resolve()
-    if not old.exists():
-        subprocess.run(["git", "-C", str(HERE), "worktree", "add", "--detach", str(old), own["commit"]], check=True)
     site = runs / "site"
     site.mkdir(parents=True, exist_ok=True)
     write_text(site / "sitecustomize.py", SITE)
@@ -215,10 +215,13 @@ def main() -> None:
         compared = {name: compare(rows, seeds, own["what"]) for name, seeds in groups.items()}
         return {"arguments": arguments, "old": own["commit"], **compared, "first_step_s": starts, "trainings": rows}
 
+    done = {(row["build"], row["seed"]) for row in rows}
+    asked = [(build.name, seed) for build in builds for seeds in groups.values() for seed in seeds]
+    if not old.exists() and (len(starts["new"]) < int(own["starts"]) or not done.issuperset(asked)):
+        subprocess.run(["git", "-C", str(HERE), "worktree", "add", "--detach", str(old), own["commit"]], check=True)
     while len(starts["new"]) < int(own["starts"]):
         for build in builds:
             starts[build.name].append(build.first_step(runs, arguments))
-    done = {(row["build"], row["seed"]) for row in rows}
     for turn, seed in enumerate(seed for seeds in groups.values() for seed in seeds):
         # The order changes from seed to seed, so that a drift of the machine hits both alike.
         for build in builds if turn % 2 == 0 else reversed(builds):

@@ -84,7 +84,7 @@ class _Later(types.ModuleType):
         self.marks.append(("assume_constant_result", function))
         return function
 
-    def disable(self, fn: Any = None, recursive: bool = True, **_: object) -> Any:  # noqa: ANN401, ARG002 - PyTorch's
+    def disable(self, fn: Any = None, recursive: bool = True, **_: object) -> Any:  # noqa: ANN401 - PyTorch's
         # Nothing is compiled, or the module would be here.
         return (lambda function: function) if fn is None else fn
 
@@ -166,7 +166,11 @@ class PlainOutputs:
         _need_behind(cls, PlainOutputs, "_write_to_tensordict", TENSORDICT)
 
     def _write_to_tensordict(
-        self, tensordict: Any, tensors: Any, tensordict_out: Any = None, out_keys: Any = None  # noqa: ANN401
+        self,
+        tensordict: Any,  # noqa: ANN401
+        tensors: Any,  # noqa: ANN401
+        tensordict_out: Any = None,  # noqa: ANN401
+        out_keys: Any = None,  # noqa: ANN401
     ) -> Any:  # noqa: ANN401
         keys = self.out_keys if out_keys is None else out_keys  # type: ignore[attr-defined]
         if tensordict_out is not None or self.inplace is not True or len(keys) != len(tensors):  # type: ignore[attr-defined]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import sys
 from pathlib import Path
 
@@ -15,6 +16,15 @@ def main() -> None:
     """Run ``python -m gctd3.train``."""
     if helped("config"):
         return
+    # Imports and configurations make a million objects that stay: to look for garbage among them takes half a second.
+    gc.disable()
+    try:
+        _main()
+    finally:
+        gc.enable()
+
+
+def _main() -> None:
     # Late, as everything that takes long: --help answers at once.
     from gctd3.compat import without_screen
     from gctd3.config.command_line import command

@@ -34,3 +34,12 @@ def confirm(policy: TensorDictModuleBase, settings: TrainSettings, task: Task) -
         finally:
             env.close(raise_if_closed=False)
     return {**result.summary(), **{key: value for key, value in result.gait().items() if key != "episodes"}}
+
+
+def described(metrics: dict[str, float], episodes: int, sure: bool) -> str:
+    """Describe a confirmation: from how many starts, whether the conditions are met, and what was seen."""
+    verdict = "meets the conditions too" if sure else "misses the conditions that it met"
+    shown = [f"return {metrics['return_mean']:.0f}", f"success {metrics['success_rate']:.0%}"]
+    shown += [f"{metrics['velocity_mean']:.2f} m/s"]
+    shown += [f"{metrics['stride_hz']:.2f} Hz"] if "stride_hz" in metrics else []
+    return f"From {episodes} other starts this policy {verdict}: {', '.join(shown)}."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -136,6 +137,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
             )
         # From here on there is a result, which does not depend on who reads about it.
         with enduring_output():
+            gc.enable()  # which the command disabled for its start
             trainer.run(stop)
             print(closing(trainer.best, run, config, walks, trainer.finished))
             if not trainer.finished:

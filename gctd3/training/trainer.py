@@ -38,8 +38,8 @@ from gctd3.files import new_directory, save_tree, shown, write_manifest, write_t
 from gctd3.setup.setup import Setup
 from gctd3.signals import StopRequest
 from gctd3.tasks.simulated_task import SimulatedTask
-from gctd3.training.confirmation import confirm
 from gctd3.training.checkpoint import STATE, Checkpoints, checked, fit
+from gctd3.training.confirmation import confirm, described
 from gctd3.training.device import pick_device
 from gctd3.training.diagnosis import why_given_up
 from gctd3.training.give_up import Watch
@@ -270,7 +270,7 @@ class Trainer:
         return metrics
 
     def _ends_with(self, policy: TensorDictModuleBase, metrics: Mapping[str, float]) -> bool:
-        """Count evaluations in a row that met all conditions, and return whether a confirmed policy ends the training."""
+        """Count evaluations in a row that met all conditions; return whether a confirmed policy ends the training."""
         stop_when, now = self.settings.stop_when, self.counters
         now.in_a_row = now.in_a_row + 1 if stop_when.all_reached(metrics) else 0
         if not stop_when.confirm or not stop_when.ends_after(now.in_a_row):
@@ -279,11 +279,7 @@ class Trainer:
         sure = stop_when.all_reached(again)
         if not sure:
             now.in_a_row = 0
-        tqdm.write(
-            f"From {stop_when.confirm} other starts this policy {'meets' if sure else 'misses'} the conditions "
-            f"{'too' if sure else 'that it met'}: return {again['return_mean']:.0f}, success {again['success_rate']:.0%}, "
-            f"{again['velocity_mean']:.2f} m/s, {again.get('stride_hz', math.nan):.2f} Hz."
-        )
+        tqdm.write(described(again, stop_when.confirm, sure))
         return sure
 
     def _evaluate_open_loop(self) -> None:
