@@ -82,7 +82,7 @@ def read(file: Path) -> Preset:
             continue
         ((name, option),) = item.items()
         # override /group@place: option
-        chosen[name.removeprefix("override ").lstrip("/").partition("@")[0]] = "null" if option is None else str(option)
+        chosen[name.removeprefix("override ").lstrip("/").partition("@")[0]] = str(option)
     sweeper = plain.get("hydra", {}).get("sweeper", {}) if isinstance(plain.get("hydra"), dict) else {}
     return Preset(
         group=file.parent.relative_to(conf()).as_posix(),

@@ -156,7 +156,7 @@ def test_the_other_commands_build(root):
 
 def test_yaml_and_python_agree(default):
     """The defaults of the Python functions equal those of the command line, apart from what is tuned for one robot."""
-    settings = build(composed("recipe=null"))
+    settings = build(composed("recipe=none"))
     assert settings.network == Network() and settings.algo == TD3Settings()
     assert settings.exploration == ExplorationSettings() and settings.replay == ReplaySettings()
     assert settings.collector == InlineSettings() and settings.robot == RobotSettings()
