@@ -2,12 +2,9 @@
 
 import asyncio
 import queue
-<<<<<<< HEAD
 import subprocess
 import sys
-=======
 import threading
->>>>>>> main
 from types import SimpleNamespace
 
 import numpy as np
