@@ -27,8 +27,8 @@ def test_a_confirmed_policy_ends_the_training_at_once(tmp_path, capsys, monkeypa
     seen = []
     evaluate = rollout.evaluate
 
-    def watched(policy, env, task, seed, *more):
-        result = evaluate(policy, env, task, seed, *more)
+    def watched(policy, env, task, seed, *more, **named):
+        result = evaluate(policy, env, task, seed, *more, **named)
         # The first heights of an episode differ with its start.
         seen.append((seed, len(result.episodes), [episode.height[0] for episode in result.episodes]))
         return result
