@@ -23,7 +23,7 @@ def parse(cls: type[Settings], arguments: Sequence[str]) -> Settings:
         arguments: The arguments, each ``key=value``.
 
     Raises:
-        ConfigError: If an argument is not of that form, a key is unknown, or a value is of another type or out of range.
+        ConfigError: If an argument has another form, a key is unknown, or a value is of another type or out of range.
     """
     hints = {setting.name: setting.hint for setting in settings_of(cls)}
     given: dict[str, Any] = {}

@@ -38,10 +38,10 @@ def run_both(settings: RosSettings) -> Walk:
     except subprocess.TimeoutExpired as error:
         raise MiddlewareError(f"The policy's node has not ended {LEAVES:g} s after the walk.") from error
     except MiddlewareError as error:
-        code = policy.poll()
-        if code is None:
+        left = policy.poll()
+        if left is None:
             raise
-        raise MiddlewareError(f"{error} The policy's node has ended with exit code {code}.") from error
+        raise MiddlewareError(f"{error} The policy's node has ended with exit code {left}.") from error
     finally:
         if policy.poll() is None:
             policy.kill()

@@ -67,6 +67,7 @@ class PolicyNode:
             MiddlewareError: If no good readings come any more; the safe command has been published by then.
         """
         self.link.meet([*self.layout.sensors, *self.layout.commands], self.settings.wait, _say)
+        _say(f"Connected ({self.link.where}).")
         good = watched = time.monotonic()
         # With the time of day a step without readings is one with the safe command, once there has been one with.
         pause = self.settings.patience if self._lockstep else self._period / 8

@@ -46,12 +46,14 @@ def listen_at(address: str | None) -> str:
     Raises:
         MiddlewareError: If it is a name that does not resolve: ROS would deliver nothing, and not say so.
     """
+    told = "listen"
     if address is None:
-        address = next((os.environ[name] for name in ADDRESSES if os.environ.get(name)), LOOPBACK)
+        told = next((name for name in ADDRESSES if os.environ.get(name)), told)
+        address = os.environ.get(told) or LOOPBACK
     try:
         socket.getaddrinfo(address, None)
     except OSError as error:
-        raise MiddlewareError(f"listen={address}: this address cannot be resolved ({one_line(error)}).") from error
+        raise MiddlewareError(f"{told}={address}: this address cannot be resolved ({one_line(error)}).") from error
     for name in ADDRESSES:
         os.environ.pop(name, None)
     os.environ["ROS_HOSTNAME" if address == "localhost" else "ROS_IP"] = address
@@ -80,8 +82,8 @@ def find_master(address: str) -> str:
             here = str(connection.getpeername()[0])
     except OSError as error:
         raise MiddlewareError(
-            f"There is no ROS master at {uri} ({one_line(error)}): start roscore, or set {MASTER_URI}; node=both starts "
-            "its own."
+            f"There is no ROS master at {uri} ({one_line(error)}): start roscore, or set {MASTER_URI}; node=both "
+            "starts its own."
         ) from error
     import rosgraph
 
@@ -96,8 +98,8 @@ def find_master(address: str) -> str:
         socket.setdefaulttimeout(before)
     if _is_loopback(address) and not _is_loopback(here):
         raise MiddlewareError(
-            f"The master at {uri} is elsewhere, and this node listens at {address} only, where no other machine reaches "
-            "it: listen=ADDRESS gives one of this machine's addresses."
+            f"The master at {uri} is elsewhere, and this node listens at {address} only, where no other machine "
+            "reaches it: listen=ADDRESS gives one of this machine's addresses."
         )
     return uri
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
 import time
@@ -53,10 +54,8 @@ class Ros2(Middleware):
     def _spin(self) -> None:
         from rclpy.executors import ExternalShutdownException, ShutdownException
 
-        try:
+        with contextlib.suppress(ExternalShutdownException, ShutdownException):
             self._executor.spin()
-        except (ExternalShutdownException, ShutdownException):
-            pass
 
     def _quality(self, topic: Topic) -> Any:  # noqa: ANN401
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy

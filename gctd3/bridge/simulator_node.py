@@ -108,17 +108,21 @@ class SimulatorNode:
             MiddlewareError: If there are no good commands any more; the robot has followed the safe command by then.
         """
         self.link.meet([*self.layout.sensors, *self.layout.commands], self.settings.wait, _say)
+        _say(f"Connected ({self.link.where}).")
         step = self._step_together if self._lockstep else self._step_in_time
         self._due = time.monotonic()
-        silent, walk = 0.0, self._walk
+        silent, told, walk = 0.0, False, self._walk
         while self.plant.ended is None:
             self._wait_while_paused()
             if self._reset.is_set():
                 self._reset.clear()
                 self._restart()
             silent = 0.0 if step() else silent + self._period
-            if silent > self.settings.patience or (self._lockstep and silent):
-                self._retire()
+            if silent > self.settings.patience or (silent and (self._lockstep or self.plant.ended)):
+                self._retire(self.settings.patience if self._lockstep else silent)
+            if silent and self._safe.phase == "to home" and not told:
+                told = True
+                _say(f"No good command for {silent:.2f} s: the robot follows the safe command.")
         walk.ended, walk.distance, walk.steps = self.plant.ended, self.plant.distance, self.plant.steps
         walk.qpos = self.plant.qpos
         self.link.publish(ENDED, walk.ended)
@@ -239,9 +243,9 @@ class SimulatorNode:
             if time.monotonic() >= until:
                 return False
 
-    def _retire(self) -> None:
+    def _retire(self, silent: float) -> None:
         """Say so, let the robot follow the safe command to its home pose, and end."""
-        text = f"No good command for {self.settings.patience:g} s ({self.link.where})"
+        text = f"No good command for {silent:.1f} s ({self.link.where})"
         _say(f"{text}: the robot follows the safe command, and this node ends.")
         most = round(10.0 / self._period)
         while self._safe.phase != "home" and most and self.plant.ended is None:
