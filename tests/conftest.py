@@ -91,7 +91,7 @@ def exported(shared_folder):
 
 @pytest.fixture(scope="session")
 def exported_velocity(shared_folder, finished):
-    """Return the ONNX file of a policy of task=velocity, which walks nowhere, to be read only; its contract beside it."""
+    """Return the ONNX file of a policy of task=velocity, which walks nowhere, to be read only."""
     pytest.importorskip("onnxscript")
     pytest.importorskip("onnxruntime")
     from finished import once

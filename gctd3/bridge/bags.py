@@ -13,7 +13,7 @@ from gctd3.bridge.messages import NANO, TYPES, JointSample, Kind, Topic
 from gctd3.bridge.names import CLOCK, topic_name
 from gctd3.errors import RunError
 from gctd3.evaluation.episode import Episode
-from gctd3.files import shown, write_bytes
+from gctd3.files import quoted, write_bytes
 from gctd3.robots.robot import Robot
 
 BEGIN = 1 * NANO  # time of the first command (ns): a time of 0 means none in ROS
@@ -37,7 +37,7 @@ def write_walk(path: str | Path, episode: Episode, robot: Robot, dt: float) -> s
     messages = list(walk_messages(episode, robot, dt))
     write_bytes(Path(path), bag(Path(path).suffix, messages))
     topics = len({topic.name for _, topic, _ in messages})
-    return f"{len(messages):,} messages of {topics} topics, {len(episode.position) * dt:.2f} s, in {shown(Path(path))}"
+    return f"{len(messages):,} messages of {topics} topics, {len(episode.position) * dt:.2f} s, in {quoted(Path(path))}"
 
 
 def walk_messages(episode: Episode, robot: Robot, dt: float) -> Iterator[Stamped]:

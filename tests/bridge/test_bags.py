@@ -39,7 +39,7 @@ def test_a_bag_holds_the_typical_episode(made):
     """The same motion as trace.csv, with its six digits; desired angles one control period before the states."""
     folder, file = made
     found = read(file)
-    rows = list(csv.DictReader((folder / "trace.csv").open()))
+    rows = list(csv.DictReader((folder / "trace.csv").read_text().splitlines()))
     trace = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
     states = [message for _, message in found["/joint_states"]]
     assert len(states) == len(rows) == len(found["/joint_command"]) == len(found["/clock"])

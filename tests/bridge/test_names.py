@@ -4,7 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gctd3.bridge.arguments import parse
@@ -71,6 +71,7 @@ def test_the_papers_names(contract, names):
         layout_of(other, names)
 
 
+@settings(max_examples=30)
 @given(st.text(min_size=1, max_size=20))
 def test_topics_have_names_that_ros_accepts(name):
     """ROS 1: a letter, then letters, digits and underscores; ROS 2 forbids double underscores besides."""

@@ -1,6 +1,8 @@
 """The nodes over real ROS: a roscore with rospy, and rclpy. Two processes, and nothing that was made up."""
 
+import contextlib
 import json
+import os
 import socket
 import subprocess
 import sys
@@ -230,14 +232,11 @@ def children(pid):
 
 def listening(pid):
     """Return the addresses at which a process listens for TCP."""
-    import os
-
     inodes = set()
     for fd in os.listdir(f"/proc/{pid}/fd"):
-        try:
+        # One that is closed meanwhile listens no more.
+        with contextlib.suppress(OSError):
             inodes.add(os.readlink(f"/proc/{pid}/fd/{fd}"))
-        except OSError:
-            continue
     found = []
     for table in ("tcp", "tcp6"):
         with open(f"/proc/{pid}/net/{table}") as file:

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 import torch
-from running import command
 
 from gctd3.deploy import Policy
 from gctd3.deploy.cpp_policy import to_cpp
