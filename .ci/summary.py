@@ -2,8 +2,8 @@
 
 python .ci/summary.py RESULTS.xml SECONDS [COMMAND [INSTALLED ...]]
 
-COMMAND is the test run's, ``bash .ci/nightly`` by default. INSTALLED are words of reasons for which no test may have been
-skipped, since what they ask for is installed; the exit code is 1 if one was.
+COMMAND is the test run's, ``bash .ci/nightly`` by default. INSTALLED are words of reasons for which no test may have
+been skipped, since what they ask for is installed; the exit code is 1 if one was.
 """
 
 from __future__ import annotations

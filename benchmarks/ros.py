@@ -2,7 +2,7 @@
 
     python benchmarks/ros.py [out=FILE.json] [middleware=ros1] [python=EXE] [run=DIR] [walks=3] [seconds=60]
 
-Exports the policy of ``run`` (the one that ships with gctd3), then lets ``gctd3.ros node=both`` walk: once in lock-step,
+Exports the policy of ``run`` (by default the shipped one), then lets ``gctd3.ros node=both`` walk: once in lock-step,
 which has to be the walk without ROS to the bit, and ``walks`` times with the time of day. In ROS 1 a subscriber of its
 own then counts the states of a robot that is put back to its start every few seconds, for ``seconds``, and compares the
 topics that the master knows with the table of the names. ``python`` is the interpreter of the nodes, for an environment

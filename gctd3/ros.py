@@ -53,7 +53,6 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(FAILED) from None
     except KeyboardInterrupt:
-        print("\nInterrupted.", file=sys.stderr)
         raise SystemExit(heard.exit_code) from None
 
 

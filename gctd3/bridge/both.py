@@ -6,10 +6,12 @@ import subprocess
 import sys
 from dataclasses import fields, replace
 
+import gctd3
 from gctd3.bridge.middleware import choose
 from gctd3.bridge.policy_node import check_commands
 from gctd3.bridge.settings import RosSettings
-from gctd3.bridge.simulator_node import Walk, run_simulator
+from gctd3.bridge.simulator_node import run_simulator
+from gctd3.bridge.walk import Walk
 from gctd3.deploy.policy import Policy
 from gctd3.errors import MiddlewareError
 
@@ -61,4 +63,4 @@ def policy_command(settings: RosSettings) -> list[str]:
         if getattr(settings, field.name) != field.default and field.name not in ("node", "run", "seed", "seconds")
     }
     words = [f"{key}={str(value).lower() if isinstance(value, bool) else value}" for key, value in given.items()]
-    return [sys.executable, "-m", "gctd3.ros", "node=policy", *words]
+    return [sys.executable, "-m", f"{gctd3.__name__}.ros", "node=policy", *words]

@@ -137,23 +137,3 @@ def choose(asked: Distribution) -> Distribution:
         if reason is None:
             return "ros1" if name == "ros1" else "ros2"
     raise MiddlewareError(f"{'; or '.join(str(reason) for reason in reasons.values())}.")
-
-
-def join(asked: Distribution, node: str, listen: str | None) -> Middleware:
-    """Join the network as a node.
-
-    Args:
-        asked: ``middleware`` of :class:`.RosSettings`.
-        node: Name of the node.
-        listen: ``listen`` of :class:`.RosSettings`.
-
-    Raises:
-        MiddlewareError: If it is not installed, or there is no master.
-    """
-    if choose(asked) == "ros1":
-        from gctd3.bridge.ros1 import Ros1
-
-        return Ros1(node, listen)
-    from gctd3.bridge.ros2 import Ros2
-
-    return Ros2(node)

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from gctd3.bridge.messages import NANO, MessageError, Topic, Velocity
-from gctd3.bridge.middleware import Middleware, join
+from gctd3.bridge.middleware import Middleware
 from gctd3.bridge.names import CLOCK, CMD_VEL, ENDED, VELOCITY_COMMANDS, Layout, layout_of
+from gctd3.bridge.network import join
 from gctd3.bridge.settings import RosSettings
 from gctd3.deploy.policy import Policy
 from gctd3.errors import MiddlewareError, ReadingError

@@ -5,15 +5,17 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from gctd3.bridge.messages import NANO, JointSample, MessageError, Topic
-from gctd3.bridge.middleware import Middleware, join
+from gctd3.bridge.middleware import Middleware
 from gctd3.bridge.names import CLOCK, ENDED, Layout, layout_of
+from gctd3.bridge.network import join
 from gctd3.bridge.plant import Plant, plant_of
 from gctd3.bridge.settings import RosSettings
+from gctd3.bridge.walk import Walk
 from gctd3.deploy.contract import Contract, read_contract
 from gctd3.deploy.policy import Policy
 from gctd3.deploy.safe_command import SafeCommand
@@ -24,54 +26,6 @@ GRACE = 0.25  # control periods that the physics waits for a command, with the t
 STALE = 1.5  # control periods after which a command's readings are too old
 BEAT = 0.2  # between two messages of the clock while paused (s)
 FAREWELL = 0.5  # for the last message to arrive (s)
-
-
-@dataclass
-class Walk:
-    """Describe a simulated walk over ROS, or without it.
-
-    Attributes:
-        ended: How it ended: ``finish``, ``fall`` or ``time``.
-        distance: Distance walked (m).
-        steps: Control steps.
-        period: Control period (s).
-        qpos: Generalised positions at the end, shape ``[nq]``.
-        round_trips: Time from each publication of readings to its command (s).
-        late: Commands that came after a quarter of the control period, with the time of day.
-        missed: Control periods without a command.
-        refused: Messages that were refused.
-    """
-
-    ended: str
-    distance: float
-    steps: int
-    period: float
-    qpos: np.ndarray
-    round_trips: list[float] = field(default_factory=list)
-    late: int = 0
-    missed: int = 0
-    refused: int = 0
-
-    @property
-    def walked(self) -> bool:
-        """Return whether the robot reached the finish, or was on its feet when the time was over."""
-        return self.ended in ("finish", "time")
-
-    def summary(self) -> str:
-        """Describe the walk in two lines."""
-        seconds = self.steps * self.period
-        ends = {"finish": "reached the finish", "fall": "fell", "time": "was on its feet when the time was over"}
-        lines = [
-            f"The robot {ends[self.ended]}: {self.distance!r} m in {self.steps} steps, {seconds:.2f} s, "
-            f"{self.distance / seconds:.3f} m/s."
-        ]
-        if self.round_trips:
-            middle, most = np.quantile(self.round_trips, [0.5, 0.99]) * 1000
-            lines.append(
-                f"Round trip: median {middle:.2f} ms, 99th percentile {most:.2f} ms; commands late {self.late}, missed "
-                f"{self.missed}, refused {self.refused}."
-            )
-        return "\n".join(lines)
 
 
 class SimulatorNode:
@@ -264,8 +218,6 @@ def _say(line: str) -> None:
 
 def contract_of(settings: RosSettings) -> Contract:
     """Read the contract beside the policy."""
-    from pathlib import Path
-
     return read_contract(Path(settings.policy).with_suffix(".json"))
 
 

@@ -240,6 +240,24 @@ def test_a_bad_command_is_refused(exported, message, said, capfd):
     assert f"simulator: Refused: {said}" in capfd.readouterr().err
 
 
+def test_the_robot_goes_home_before_it_walks(exported):
+    """From where its joints are, no faster than the contract allows, and only then by the policy."""
+    peer = Peer(exported, "policy", home_first=True)
+    follower = PolicyNode(peer.settings, peer.policy, Loopback(peer.hub), peer.layout)
+    node, place = Task(follower.run), 0.1
+    for i in range(20):
+        positions = tuple(place if row.name.startswith("hip") else 0.0 for row in peer.layout.rows)
+        peer.send(10**9 + i * 20_000_000, positions=positions)
+    peer.link.publish(ENDED, "time")
+    node.done()
+    hips = [dict(zip(c.names, c.positions, strict=True))["hip_right"] for c in peer.hub.of("/joint_command")]
+    servo = next(servo for servo in peer.contract.servos if servo.joint == "hip_right")
+    # At 0.5 rad/s and 50 Hz it is 0.01 rad in each control period.
+    way = max(round((place - servo.home_rad) / (servo.home_rate_rad_s * PERIOD)), 1)
+    assert hips[:way] == pytest.approx(np.linspace(place, servo.home_rad, way + 1)[1:].tolist(), abs=1e-9)
+    assert follower.counts.steps == 20 - way and follower.counts.refused == 0
+
+
 def test_alone_a_node_says_what_it_waits_for(exported):
     peer = Peer(exported, "policy", wait=0.1)
     node = PolicyNode(peer.settings, peer.policy, Loopback(Hub()), peer.layout)

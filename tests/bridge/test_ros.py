@@ -11,7 +11,7 @@ import time
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
-from ros_nodes import ROS2_PYTHON, Master, Process, needs_ros1, needs_ros2, once, walked
+from ros_nodes import ROS2_PYTHON, Master, Process, needs_ros1, needs_ros2, once, quiet, walked
 
 from gctd3.bridge.middleware import choose, find_ros1
 from gctd3.bridge.settings import RosSettings
@@ -93,8 +93,6 @@ def test_the_policys_node_imports_nothing_heavy(exported, tmp_path):
     """PyTorch, MuJoCo and Hydra cannot be imported where it runs, and none of them is asked for."""
     with Master() as there:
         simulator = Process(tmp_path, "node=simulator", f"policy={exported}", "seconds=1", **there)
-        from ros_nodes import quiet
-
         line = [sys.executable, "-c", LIGHT.format(heavy=HEAVY), "node=policy", f"policy={exported}"]
         done = subprocess.run(line, capture_output=True, text=True, env=quiet(**there), timeout=90)
         assert simulator.end() == 0, simulator.said
@@ -263,3 +261,66 @@ def test_what_is_missing_is_said(monkeypatch, tmp_path):
     (tmp_path / "python3.4").touch()
     monkeypatch.setattr("gctd3.bridge.middleware.DEBIAN_PYTHON", tmp_path / "python3.4")
     assert "is for Python 3.4, and this is 3." in find_ros1()
+
+
+ROGUE = """
+import sys, time
+from dataclasses import replace
+from pathlib import Path
+from gctd3.bridge.middleware import choose
+from gctd3.bridge.names import layout_of
+from gctd3.deploy.contract import read_contract
+side, kind, file = sys.argv[1:]
+choose("ros1")
+from gctd3.bridge.ros1 import Ros1
+contract = read_contract(Path(file).with_suffix(".json"))
+layout = layout_of(contract, "contract")
+link = Ros1("rogue", None)
+link.advertise(layout.sensors if side == "simulator" else layout.commands)
+link.subscribe(layout.commands if side == "simulator" else layout.sensors)
+link.meet([*layout.sensors, *layout.commands], 60.0, print)
+still = {name: 0.0 for name in (*contract.readings, "distance_m")}
+if side == "simulator":
+    for topic, message in layout.pack_readings(10**9, "", still):
+        link.publish(topic, message)
+    good = link.receive(10.0)[1].positions
+    stamp = 10**9 + (0 if kind == "stale" else 20_000_000)
+    for topic, message in layout.pack_readings(stamp, "", still):
+        short = topic == layout.joints and kind == "short"
+        link.publish(topic, replace(message, positions=(0.0,)) if short else message)
+    first = link.receive(10.0)[1].positions
+    print("held" if first == good else (first, good), flush=True)
+    last = first
+    while (item := link.receive(3.0)) is not None:
+        last = item[1].positions
+    print("home" if last == tuple(servo.home_rad for servo in contract.servos) else last, flush=True)
+else:
+    while (item := link.receive(10.0))[0] != layout.joints:
+        pass
+    stamp = item[1].stamp - (20_000_000 if kind == "stale" else 0)
+    ((topic, message),) = layout.pack_command(stamp, "", {s.actuator: 0.3 for s in contract.servos})
+    link.publish(topic, message if kind == "stale" else replace(message, positions=(0.3,)))
+    time.sleep(3.0)
+link.close()
+"""
+
+
+@needs_ros1
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", ["stale", "short"])
+@pytest.mark.parametrize("rogue", ["policy", "simulator"])
+def test_a_bad_message_over_a_roscore(exported, tmp_path, rogue, kind):
+    """It is refused with a line within three seconds; the safe command follows, and an error ends the node."""
+    with Master() as there:
+        node = Process(
+            tmp_path, f"node={'simulator' if rogue == 'policy' else 'policy'}", f"policy={exported}", **there
+        )
+        line = [sys.executable, "-c", ROGUE, rogue, kind, str(exported)]
+        with subprocess.Popen(line, stdout=subprocess.PIPE, text=True, env=quiet(**there)) as other:
+            connected = node.until("Connected")
+            assert node.until("Refused: ") - connected < SOON
+            assert node.end() == 1
+            said = other.communicate(timeout=60)[0]
+    assert {"stale": "tale", "short": "positions, expected as many of both"}[kind] in node.said
+    assert "phase 'home'" in node.said and "Traceback" not in node.said
+    assert rogue == "policy" or said.split() == ["held", "home"]
