@@ -26,7 +26,7 @@ def read(file):
     return found
 
 
-@pytest.fixture(scope="module", params=[".bag", ".mcap"])
+@pytest.fixture(scope="module", params=[pytest.param(".bag", marks=pytest.mark.nightly), ".mcap"])
 def made(request, tmp_path_factory):
     """Return the folder of an evaluation with a bag, and the bag."""
     folder = tmp_path_factory.mktemp("bag")

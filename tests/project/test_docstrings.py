@@ -11,8 +11,8 @@ ROOT = Path(gctd3.__file__).parent
 # One verb a word; a new one is added here.
 VERBS = set(
     """
-    Accept Act Add Advance Align Announce Answer Append Apply Ask Assign Attach Average Begin Bind Block Bound Build Cache
-    Call Cancel Carry Change Check Choose Clip Close Collect Compare Compile Complete Compose Compute
+    Accept Act Add Advance Align Announce Answer Append Apply Ask Assign Attach Average Begin Bind Block Bound Build
+    Cache Call Cancel Carry Change Check Choose Clip Close Collect Compare Compile Complete Compose Compute
     Configure Construct Continue Convert Copy Count Create Cut Decide Declare Decode Define Delay Delete
     Deliver Describe Detect Disable Divide Draw Drive Drop Enable Encode End Ensure Enter Estimate Evaluate
     Exchange Exclude Export Extract Fill Filter Find Finish Follow Forget Format Freeze Gather Generate Get
