@@ -89,7 +89,7 @@ def count(python: str, file: Path, run: str, seconds: float) -> dict[str, object
         link.subscribe([layout.joints])
         rospy.wait_for_service(layout.services[0], timeout=60.0)
         reset = rospy.ServiceProxy(layout.services[0], Empty)
-        while link.receive(60.0) is None:
+        if link.receive(60.0) is None:
             raise SystemExit("no states within a minute")
         began = again = time.monotonic()
         stamps = []
