@@ -357,14 +357,18 @@ class Robot:
     def foot_velocity_sensors(self) -> np.ndarray | None:
         """Return the indices in ``sensordata`` of each foot's velocity in the world, shape ``[feet, 3]``.
 
-        ``None`` if a foot has no ``<framelinvel objtype="body"/>`` sensor.
+        ``None`` if a foot has no ``<framelinvel/>`` sensor of a site of its own, or else of its body.
         """
         model, sensors = self.model, {}
         for i in range(model.nsensor):
             moves = model.sensor_type[i] == mujoco.mjtSensor.mjSENS_FRAMELINVEL
-            body = model.sensor_objtype[i] in (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_XBODY)
-            if moves and body and model.sensor_reftype[i] == mujoco.mjtObj.mjOBJ_UNKNOWN:
-                sensors[body_name(model, int(model.sensor_objid[i]))] = int(model.sensor_adr[i])
+            kind, index = int(model.sensor_objtype[i]), int(model.sensor_objid[i])
+            if not moves or model.sensor_reftype[i] != mujoco.mjtObj.mjOBJ_UNKNOWN:
+                continue
+            if kind == mujoco.mjtObj.mjOBJ_SITE:
+                sensors[body_name(model, int(model.site_bodyid[index]))] = int(model.sensor_adr[i])
+            elif kind in (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_XBODY):
+                sensors.setdefault(body_name(model, index), int(model.sensor_adr[i]))
         if any(foot not in sensors for foot in self.feet):
             return None
         return np.array([sensors[foot] for foot in self.feet])[:, None] + np.arange(3)
