@@ -11,7 +11,9 @@ from robots import FREE_LEGS, TWO_LEGS
 from gctd3.envs.simulation import Simulation
 from gctd3.errors import RobotError
 from gctd3.robots import mirror_check
-from gctd3.robots.mirror_check import MOST_RESIDUAL, ModelReflection, check_mirror
+from gctd3.robots.mirror_check import MOST_RESIDUAL, check_mirror
+from gctd3.robots.model_reflection import ModelReflection
+from gctd3.robots.random_states import RandomStates
 from gctd3.robots.robot import Robot
 
 BOOM = '<joint name="rx" type="slide" axis="1 0 0"/><joint name="rz" type="slide" axis="0 0 1"/>'
@@ -145,7 +147,7 @@ def places_apart(robot, ground, rng):
     """
     image, model = ModelReflection(robot), robot.model
     order, signs = robot.action_mirror
-    qpos, qvel = image._draw(rng, ground)
+    qpos, qvel = RandomStates(image).draw(rng, ground)
     action = rng.uniform(-1.0, 1.0, len(order))
     low, high = robot.action_range.T
     seen = []
@@ -241,7 +243,7 @@ def test_reflecting_a_state_twice_changes_nothing(text):
     robot = robot_of(text)
     image, rng = ModelReflection(robot), np.random.default_rng(0)
     for _ in range(5):
-        qpos, qvel = image._draw(rng, None)
+        qpos, qvel = RandomStates(image).draw(rng, None)
         again = image.states(*image.states(qpos, qvel))
         np.testing.assert_allclose(again[1], qvel, atol=1e-12)
         apart = np.zeros(robot.model.nv)
