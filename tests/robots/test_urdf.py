@@ -8,7 +8,8 @@ import pytest
 
 from gctd3 import RobotSettings, ServoSettings
 from gctd3.errors import RobotError
-from gctd3.robots.urdf import collision_meshes, is_urdf, read_urdf
+from gctd3.robots.urdf import is_urdf, read_urdf
+from gctd3.robots.urdf_meshes import collision_meshes
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
 
