@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from gctd3.errors import RobotError, suggest
-from gctd3.robots import home_pose
+from gctd3.robots.carried_load import carried_load, carrying_command
 from gctd3.robots.draft import Draft, check_patterns, listed
 from gctd3.robots.floating_base import AXES
 from gctd3.robots.foot_bodies import foot_geoms, split_feet
@@ -30,8 +30,12 @@ from gctd3.robots.ground import (
     touching_bodies,
 )
 from gctd3.robots.held_joints import hold_joints
+from gctd3.robots.held_pose import holds
+from gctd3.robots.home_pose import find_pose
 from gctd3.robots.mjcf import base_joints, bodies_below, body_name, driven_joints, joint_name, standing_pose
+from gctd3.robots.pose_limits import clipped, lowered
 from gctd3.robots.servos import complete_servos, joint_id
+from gctd3.robots.stance import below_feet, leg_ends, like_legs, lowest_part, stance
 
 if TYPE_CHECKING:
     from gctd3.robots.servo_settings import ServoSettings
@@ -203,7 +207,7 @@ def _stand(
         geoms that become a body of their own.
     """
     model, root = draft.model, draft.root
-    ends = home_pose.leg_ends(model, root, floor)
+    ends = leg_ends(model, root, floor)
     named = _named_feet(draft, settings.feet, floor) if settings.feet is not None else None
     if named is not None:
         ends = list(dict.fromkeys(body for body, _ in named))
@@ -214,10 +218,10 @@ def _stand(
         key, qpos = chosen
     else:
         key, qpos = None, _reference(draft)
-    stood = home_pose.stance(model, root, floor, qpos, ends)
+    stood = stance(model, root, floor, qpos, ends)
     feet = ends if named is not None else list(stood.feet)
     if named is None and key is None:
-        feet = home_pose.like_legs(model, root, ends, feet)
+        feet = like_legs(model, root, ends, feet)
     if not feet:
         raise RobotError(
             f"{draft.file}: none of {listed([body_name(model, body) for body in ends])} reaches the ground in the pose "
@@ -266,7 +270,7 @@ def _named_feet(draft: Draft, names: str | Sequence[str], floor: int) -> list[tu
 def _check_feet(draft: Draft, feet: Sequence[str], qpos: np.ndarray, floor: int) -> None:
     """Raise a :class:`.RobotError` if the robot would stand on other parts than the feet that are named."""
     model = draft.model
-    below = home_pose.below_feet(model, draft.root, floor, qpos, [draft.body_id(name) for name in feet])
+    below = below_feet(model, draft.root, floor, qpos, [draft.body_id(name) for name in feet])
     if below is not None:
         raise RobotError(
             f"{draft.file}: the feet {listed(list(feet))} do not reach the ground: in the standing pose "
@@ -311,14 +315,14 @@ def _why_not(draft: Draft, name: str, qpos: np.ndarray, floor: int, ends: Sequen
     model, root = draft.model, draft.root
     if name in draft.short:
         return "it has not one number for each coordinate"
-    stood = home_pose.stance(model, root, floor, qpos, ends)
+    stood = stance(model, root, floor, qpos, ends)
     if not stood.upright:
         return "the robot is not upright in it"
-    wanted = ends if all_stand else home_pose.like_legs(model, root, ends, stood.feet)
+    wanted = ends if all_stand else like_legs(model, root, ends, stood.feet)
     missing = [body_name(model, body) for body in wanted if body not in stood.feet]
     if missing:
         return f"{listed(missing)} would not touch the ground"
-    lowest = home_pose.lowest_part(model, root, floor, qpos, stood.feet)
+    lowest = lowest_part(model, root, floor, qpos, stood.feet)
     if lowest is not None:
         return f"{body_name(model, lowest)} would touch the ground"
     return None
@@ -327,17 +331,17 @@ def _why_not(draft: Draft, name: str, qpos: np.ndarray, floor: int, ends: Sequen
 def _corrected(draft: Draft, qpos: np.ndarray, floor: int, ends: Sequence[int], what: str) -> np.ndarray:
     """Return a pose with its joints in their ranges and its feet on the ground, with notes on the changes."""
     model, root = draft.model, draft.root
-    moved, outside = home_pose.clipped(model, qpos, draft.joints())
+    moved, outside = clipped(model, qpos, draft.joints())
     for joint in outside:
         place = int(model.jnt_qposadr[joint])
         draft.edit(
             f"In {what} the angle of {joint_name(model, joint)} is {moved[place]:.4g} rad instead of "
             f"{qpos[place]:.4g}, which is outside of its range."
         )
-    lift = home_pose.stance(model, root, floor, moved, ends).lift
+    lift = stance(model, root, floor, moved, ends).lift
     off = not _BELOW <= lift <= _ABOVE
     if off or outside:
-        put = home_pose.lowered(model, root, moved, lift)
+        put = lowered(model, root, moved, lift)
         if off and not np.array_equal(put, moved):
             draft.edit(
                 f"In {what} the robot is {'lowered' if lift > 0 else 'raised'} by {abs(lift):.3g} m to the ground."
@@ -347,7 +351,7 @@ def _corrected(draft: Draft, qpos: np.ndarray, floor: int, ends: Sequence[int], 
 
 
 def _reference(draft: Draft) -> np.ndarray:
-    return home_pose.clipped(draft.model, draft.model.qpos0, draft.joints())[0]
+    return clipped(draft.model, draft.model.qpos0, draft.joints())[0]
 
 
 def _find(draft: Draft, settings: RobotSettings, floor: int, feet: Sequence[str]) -> dict[str, np.ndarray] | None:
@@ -357,7 +361,7 @@ def _find(draft: Draft, settings: RobotSettings, floor: int, feet: Sequence[str]
     if not len(base) or int(model.jnt_type[base[0]]) != int(mujoco.mjtJoint.mjJNT_FREE):
         return None
     ids = [draft.body_id(name) for name in feet]
-    pose = home_pose.find_pose(model, root, floor, ids, AXES[settings.forward or "x"])
+    pose = find_pose(model, root, floor, ids, AXES[settings.forward or "x"])
     if pose is None:
         return None
     changed = [j for j in draft.joints() if abs(pose[model.jnt_qposadr[j]] - model.qpos0[model.jnt_qposadr[j]]) > 0.05]
@@ -401,7 +405,7 @@ def _clip_pose(draft: Draft) -> None:
         return
     index = names.index(name)
     qpos = model.key_qpos[index].copy()
-    moved, outside = home_pose.clipped(model, qpos, draft.joints())
+    moved, outside = clipped(model, qpos, draft.joints())
     for joint in outside:
         place = int(model.jnt_qposadr[joint])
         draft.edit(
@@ -427,7 +431,7 @@ def _servos(
     model = draft.model
     qpos = model.qpos0.copy() if pose is None else draft.qpos_of(pose)
     ids = [draft.body_id(name) if name else 0 for name in feet]
-    load = home_pose.carried_load(model, qpos, ids, floor)
+    load = carried_load(model, qpos, ids, floor)
     complete_servos(draft, qpos, load, settings.servos, limits)
 
 
@@ -463,7 +467,7 @@ def _try(draft: Draft, feet: Sequence[str], floor: int) -> None:
     if model.nu != len(driven_joints(model)) or not len(base_joints(model, root)):
         return
     sensors = {n: a for n, a in contact_sensors(model, root).items() if n not in feet}
-    held = home_pose.holds(model, standing_pose(model), root, list(sensors.values()))
+    held = holds(model, standing_pose(model), root, list(sensors.values()))
     if held.fell is not None:
         draft.notes.append(f"{FALLS} {held.fell:.2g} s.")
     elif held.weak:
@@ -477,8 +481,8 @@ def _try(draft: Draft, feet: Sequence[str], floor: int) -> None:
     if gone:
         # Soft servos sag; an action of 0 will ask them for what carries the weight.
         ids = [draft.body_id(name) for name in feet]
-        command = home_pose.carrying_command(model, standing_pose(model), ids, floor)
-        held = home_pose.holds(model, standing_pose(model), root, [sensors[name] for name in gone], command=command)
+        command = carrying_command(model, standing_pose(model), ids, floor)
+        held = holds(model, standing_pose(model), root, [sensors[name] for name in gone], command=command)
         gone = [name for name in gone if held.fell is not None or sensors[name] in held.touching]
     if gone:
         for name in gone:
