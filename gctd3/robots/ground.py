@@ -118,6 +118,17 @@ def contact_sensors(model: mujoco.MjModel, root: int) -> dict[str, int]:
     return sensors
 
 
+def velocity_sensors(model: mujoco.MjModel) -> dict[str, int]:
+    """Return the index in ``sensordata`` of the x component of the sensed velocity of each body in the world."""
+    sensors = dict[str, int]()
+    for i in range(model.nsensor):
+        moves = model.sensor_type[i] == mujoco.mjtSensor.mjSENS_FRAMELINVEL
+        body = model.sensor_objtype[i] in (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_XBODY)
+        if moves and body and model.sensor_reftype[i] == mujoco.mjtObj.mjOBJ_UNKNOWN:
+            sensors[body_name(model, int(model.sensor_objid[i]))] = int(model.sensor_adr[i])
+    return sensors
+
+
 def _body_of(model: mujoco.MjModel, kind: int, index: int) -> int:
     """Return the body whose contacts one side of a contact sensor counts, -1 if it is not all contacts of one body."""
     objects = mujoco.mjtObj
