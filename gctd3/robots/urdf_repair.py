@@ -36,7 +36,7 @@ def mend_inertias(root: ElementTree.Element, file: Path, notes: list[str]) -> No
 
 
 def fix_massless(root: ElementTree.Element, file: Path, notes: list[str]) -> None:
-    """Fix joints that move no mass, and give a little mass to moving links between others."""
+    """Make joints that move no mass immovable, and give a little mass to moving links between others."""
     masses = {link.get("name", ""): link.find("inertial/mass") for link in root.iterfind("link")}
     try:
         heavy = {name for name, mass in masses.items() if mass is not None and float(mass.get("value", "0")) > 0.0}
