@@ -25,6 +25,7 @@ from gctd3.robots.ground import (
     add_velocity_sensors,
     contact_sensors,
     find_floor,
+    lowest_of_body,
     touching_bodies,
 )
 from gctd3.robots.held_joints import hold_joints
@@ -104,7 +105,7 @@ def complete(
     held = hold_joints(draft, list(settings.hold), draft.pose_of(settled)) if settings.hold else {}
     floor = geom_index(draft.model, draft.model.geom(floor).name) if held else floor
     _servos(draft, settings, limits or {}, pose, feet, floor)
-    _sense(draft, feet)
+    _sense(draft, feet, pose)
     if pose is not None:
         write_key(draft, pose, key, feet)
     if not draft.edited:
@@ -164,8 +165,11 @@ def _servos(
     complete_servos(draft, qpos, load, settings.servos, limits)
 
 
-def _sense(draft: Draft, feet: Sequence[str]) -> None:
-    """Add a sensor of ground contact for each part of the robot that can touch the ground and has none."""
+def _sense(draft: Draft, feet: Sequence[str], pose: Mapping[str, np.ndarray] | None) -> None:
+    """Add a sensor of ground contact for each part of the robot that can touch the ground and has none.
+
+    The velocities of the feet are those of their soles: a foot may be the end of a shank, whose origin is the knee.
+    """
     model = draft.model
     floor = find_floor(model, draft.root)
     if floor is None:
@@ -179,7 +183,8 @@ def _sense(draft: Draft, feet: Sequence[str]) -> None:
     add_contact_sensors(draft.spec, missing, model.geom(floor).name)
     draft.sensed = tuple(missing)
     draft.edit(f"Sensors of contact with {model.geom(floor).name!r} are added: {listed(missing)}.")
-    add_velocity_sensors(draft.spec, feet)
+    qpos = model.qpos0 if pose is None else draft.qpos_of(pose)
+    add_velocity_sensors(draft.spec, {name: lowest_of_body(model, qpos, draft.body_id(name)) for name in feet})
     draft.edit(f"Sensors of the feet's velocities are added: {listed(list(feet))}.")
 
 

@@ -307,7 +307,7 @@ class Robot:
     def foot_velocity_sensors(self) -> np.ndarray | None:
         """Return the indices in ``sensordata`` of each foot's velocity in the world, shape ``[feet, 3]``.
 
-        ``None`` if a foot has no ``<framelinvel objtype="body"/>`` sensor.
+        ``None`` if a foot has no ``<framelinvel/>`` sensor of a site of its own, or else of its body.
         """
         sensors = velocity_sensors(self.model)
         if any(foot not in sensors for foot in self.feet):

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 
 from gctd3.errors import ConfigError, suggest
 
+RECORDED = ("slip_speed", "height_from_home", "periodic_fraction", "torque_saturation")
+
 # Columns of progress.csv; gctd3.evaluation.quantities has names, units and definitions of those of gaits.
 COLUMNS = (
     "frames",
@@ -21,6 +23,8 @@ COLUMNS = (
     "hip_correlation",
     "stride_hz",
     "flight_fraction",
+    # Of the motion, which is recorded where a condition asks for one of them.
+    *RECORDED,
     "diverged",
     "train_episodes",
     "restarts",
@@ -63,6 +67,16 @@ class StopWhen:
             raise ConfigError(f"evaluations must be at least 1, or null, got {self.evaluations}.")
         if self.restart_after is not None and self.restart_after < 1:
             raise ConfigError(f"restart_after must be at least 1, or null, got {self.restart_after}.")
+
+    @property
+    def of_motion(self) -> bool:
+        """Return whether a condition is on a metric of :data:`RECORDED`, for which the motion has to be recorded."""
+        return any(name in RECORDED for name in self.names)
+
+    @property
+    def names(self) -> list[str]:
+        """Return the metrics on which there is a condition."""
+        return [name for name, _ in (*_bounds(self.at_least), *_bounds(self.at_most))]
 
     def reached(self, metrics: Mapping[str, float]) -> int:
         """Count the conditions that hold; an undefined metric meets none."""

@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -33,6 +33,7 @@ from gctd3.data.stepping import Stepping
 from gctd3.envs.factory import EnvRecipe, build_env
 from gctd3.errors import NumericalError, RunError, TrainingError, WorkerError
 from gctd3.evaluation.rollout import evaluate
+from gctd3.evaluation.summary import summarize
 from gctd3.files import new_directory, quoted, save_tree, write_manifest, write_text
 from gctd3.setup.setup import Setup
 from gctd3.signals import StopRequest
@@ -46,6 +47,7 @@ from gctd3.training.progress import Counters, ProgressLine
 from gctd3.training.rng_state import load_random_state, random_state, seed_all
 from gctd3.training.run_log import RunLog
 from gctd3.training.settings import TrainSettings
+from gctd3.training.stop_when import RECORDED
 from gctd3.viz.film import FPS, clip
 
 MOST_TIME = 0.03  # share of the wall-clock that checkpoints may take
@@ -91,6 +93,9 @@ class Trainer:
         recipe = EnvRecipe(task, env)
         self.collector = build_collector(settings.collector, recipe, settings.batch_steps, settings.seed, self.explorer)
         evaluated = env.for_evaluation(settings.evaluation.episodes, env.threads)
+        if settings.stop_when.of_motion:
+            # The one backend that records motions.
+            evaluated = replace(evaluated, backend="batched")
         self.evaluation_env = build_env(task.evaluated(settings.evaluation.reward), evaluated, settings.evaluation.seed)
         manifest = {"graph": {"nodes": setup.graph.nodes, "edges": setup.graph.edges}, **(about or {})}
         self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, manifest)
@@ -249,7 +254,9 @@ class Trainer:
         if not (self.directory / OPEN_LOOP).exists():
             self._evaluate_open_loop()
         policy = self.algorithm.policy()
-        result = evaluate(policy, self.evaluation_env, self.setup.task, settings.evaluation.seed)
+        task, recorded = self.setup.task, settings.stop_when.of_motion
+        result = evaluate(policy, self.evaluation_env, task, settings.evaluation.seed, record=recorded)
+        motion = summarize(result.episodes, cast(SimulatedTask, task).robot, task.control_dt) if recorded else {}
         metrics: dict[str, float] = {
             "frames": now.frames,
             "updates": now.updates,
@@ -259,6 +266,7 @@ class Trainer:
             "restarts": now.restarts,
             **result.summary(),
             **{key: value for key, value in result.gait().items() if key != "episodes"},
+            **{key: value for key in RECORDED if (value := motion.get(key)) is not None},
         }
         if self.best is None or settings.stop_when.score(metrics) > settings.stop_when.score(self.best):
             self.checkpoints.save_best(now.frames, policy, metrics)

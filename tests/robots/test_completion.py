@@ -73,6 +73,20 @@ def test_a_level_plane_is_added_where_there_is_no_ground(tmp_path):
     assert data.qpos[2] > 0.0 and data.ncon >= 4
 
 
+def test_the_velocity_of_a_foot_is_that_of_its_sole(tmp_path):
+    """A shank that turns about its knee moves its sole by the height of the knee over the ground."""
+    robot = RobotSettings(name=str(dog(tmp_path))).load()
+    model, data = robot.model, mujoco.MjData(robot.model)
+    data.qpos[:] = robot.standing_qpos
+    for foot, sensor in zip(robot.feet, robot.foot_velocity_sensors, strict=True):
+        knee = robot.joint(f"knee_{foot[-2:]}")
+        data.qvel[:] = 0.0
+        data.qvel[knee.qvel] = 2.0  # rad/s
+        mujoco.mj_forward(model, data)
+        sole = data.geom_xpos[model.geom(f"ball_{foot[-2:]}").id, 2] - 0.03
+        assert abs(data.sensordata[sensor[0]]) == pytest.approx(2.0 * (data.xanchor[knee.id, 2] - sole), rel=0.01)
+
+
 def test_the_ground_that_pairs_name_is_added(tmp_path):
     pairs = "".join(f'<pair geom1="ball_{n}" geom2="arena"/>' for n, *_ in LEGS)
     path = dog(tmp_path, floor="", rest=f"<contact>{pairs}</contact>")
