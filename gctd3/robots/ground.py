@@ -119,6 +119,24 @@ def contact_sensors(model: mujoco.MjModel, root: int) -> dict[str, int]:
     return sensors
 
 
+def velocity_sensors(model: mujoco.MjModel) -> dict[str, int]:
+    """Return the index in ``sensordata`` of the x component of the sensed velocity of each body in the world.
+
+    It is that of a site of the body, or else of the body itself.
+    """
+    sensors = dict[str, int]()
+    for i in range(model.nsensor):
+        moves = model.sensor_type[i] == mujoco.mjtSensor.mjSENS_FRAMELINVEL
+        kind, index = int(model.sensor_objtype[i]), int(model.sensor_objid[i])
+        if not moves or model.sensor_reftype[i] != mujoco.mjtObj.mjOBJ_UNKNOWN:
+            continue
+        if kind == mujoco.mjtObj.mjOBJ_SITE:
+            sensors[body_name(model, int(model.site_bodyid[index]))] = int(model.sensor_adr[i])
+        elif kind in (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_XBODY):
+            sensors.setdefault(body_name(model, index), int(model.sensor_adr[i]))
+    return sensors
+
+
 def _body_of(model: mujoco.MjModel, kind: int, index: int) -> int:
     """Return the body whose contacts one side of a contact sensor counts, -1 if it is not all contacts of one body."""
     objects = mujoco.mjtObj
