@@ -16,6 +16,7 @@ from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl import torchrl_logger
 from tqdm import tqdm
@@ -39,6 +40,7 @@ from gctd3.setup.setup import Setup
 from gctd3.signals import StopRequest
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.training.checkpoint import STATE, Checkpoints, checked, fit
+from gctd3.training.confirmation import confirm, described
 from gctd3.training.device import pick_device
 from gctd3.training.diagnosis import why_given_up
 from gctd3.training.give_up import Watch
@@ -134,8 +136,7 @@ class Trainer:
     def finished(self) -> bool:
         """Return whether all frames or episodes are collected, or enough evaluations in a row met all conditions."""
         settings, now = self.settings, self.counters
-        reached = settings.stop_when.evaluations is not None and now.in_a_row >= settings.stop_when.evaluations
-        return reached or self._spent
+        return settings.stop_when.ends_after(now.in_a_row) or self._spent
 
     @property
     def _spent(self) -> bool:
@@ -211,8 +212,7 @@ class Trainer:
         row = self._evaluate()
         self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
         line.evaluated(self._figures(row))
-        now.in_a_row = now.in_a_row + 1 if settings.stop_when.all_reached(row) else 0
-        if now.in_a_row:
+        if settings.stop_when.all_reached(row):
             now.promising = now.frames
         elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
             self._begin_again(line)
@@ -268,13 +268,27 @@ class Trainer:
             **{key: value for key, value in result.gait().items() if key != "episodes"},
             **{key: value for key in RECORDED if (value := motion.get(key)) is not None},
         }
-        if self.best is None or settings.stop_when.score(metrics) > settings.stop_when.score(self.best):
+        sure = self._ends_with(policy, metrics)
+        if sure or self.best is None or settings.stop_when.score(metrics) > settings.stop_when.score(self.best):
             self.checkpoints.save_best(now.frames, policy, metrics)
             self.best = metrics
         self.log.add_row(metrics)
         if settings.video:
             self.log.clip(clip(policy, cast(SimulatedTask, self.setup.task), settings.evaluation.seed), FPS, now.frames)
         return metrics
+
+    def _ends_with(self, policy: TensorDictModuleBase, metrics: Mapping[str, float]) -> bool:
+        """Count evaluations in a row that met all conditions; return whether a confirmed policy ends the training."""
+        stop_when, now = self.settings.stop_when, self.counters
+        now.in_a_row = now.in_a_row + 1 if stop_when.all_reached(metrics) else 0
+        if not stop_when.confirm or not stop_when.ends_after(now.in_a_row):
+            return False
+        again = confirm(policy, self.settings, self.setup.task)
+        sure = stop_when.all_reached(again)
+        if not sure:
+            now.in_a_row = 0
+        tqdm.write(described(again, stop_when.confirm, sure))
+        return sure
 
     def _evaluate_open_loop(self) -> None:
         """Evaluate the warm-up's fittest gait without a policy, to see later what learning has added."""

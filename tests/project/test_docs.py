@@ -98,6 +98,8 @@ SMALL = {
     "render": ["width=64", "height=48", "columns=2", "rows=1", "seconds=0.1"],
     "export": ["episodes=2", "threads=1"],
     "benchmarks/walk.py": ["seeds=0", "jobs=1", *BUDGET],
+    # Without the older commit, which only a git repository has.
+    "benchmarks/whole_command.py": ["tuned=", "untuned=", "starts=0", "out=whole_command.json"],
     "benchmarks/yardsticks.py": [
         "tasks=halfcheetah",
         "algos=td3",
