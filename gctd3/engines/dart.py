@@ -69,9 +69,7 @@ class Dart(OtherEngine):
             transform.set_translation(base.place)
             joint.setRelativeTransform(transform)
             # Its own frame's: angular first.
-            joint.setRelativeSpatialVelocity(
-                np.concatenate([base.turn.T @ base.rate, base.turn.T @ base.velocity])
-            )
+            joint.setRelativeSpatialVelocity(np.concatenate([base.turn.T @ base.rate, base.turn.T @ base.velocity]))
         self._world.getConstraintSolver().clearLastCollisionResult()
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:

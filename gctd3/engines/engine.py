@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -17,7 +18,7 @@ from gctd3.robots.links import Links
 from gctd3.robots.mjcf import bodies_below, body_name, colliding_geoms
 from gctd3.robots.robot import Robot
 
-
+_DYNAMICS = re.compile(r"<dynamics [^>]*/>")
 FASTEST = 1e3  # rad/s or m/s of a joint: above it the simulation has exploded, and engines may end the process
 
 
@@ -88,7 +89,9 @@ class OtherEngine(Engine):
         share = 1.0 if armature else 0.0
         self.links = Links.of(robot, share)
         self.file = folder / "robot.urdf"
-        describe_robot(robot, "urdf", "robot", share).write(self.file)
+        description = describe_robot(robot, "urdf", "robot", share)
+        # Damping and friction are put on here: engines that read them do not agree on what they are.
+        replace(description, text=_DYNAMICS.sub("", description.text)).write(self.file)
         joints = [joint for joint in self.links.joints if joint.id >= 0]
         self.joints = tuple(joint.name for joint in joints)
         ids = np.array([joint.id for joint in joints])
@@ -136,7 +139,7 @@ class OtherEngine(Engine):
             turn = turn.reshape(3, 3)
             # MuJoCo's angular velocity is in the body's frame.
             base = Pose(
-                qpos[q : q + 3] + [0.0, 0.0, above], turn, qvel[v : v + 3].copy(), turn @ qvel[v + 3 : v + 6]
+                qpos[q : q + 3] + np.array([0.0, 0.0, above]), turn, qvel[v : v + 3].copy(), turn @ qvel[v + 3 : v + 6]
             )
         elif above and self.robot.base.height is not None:
             height = self.robot.base.height

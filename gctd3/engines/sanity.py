@@ -72,7 +72,7 @@ def _fastest(walk: Walk, dt: float) -> float:
 def _airborne(walk: Walk) -> int:
     """Return the largest number of control steps in a row with no foot down."""
     longest = run = 0
-    for down in walk.feet_down.any(axis=1):
+    for down in np.asarray(walk.feet_down.any(axis=1)).tolist():
         run = 0 if down else run + 1
         longest = max(longest, run)
     return longest

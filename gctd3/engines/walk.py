@@ -92,9 +92,7 @@ class Sensing:
         return self.task.measure(data.qpos.copy(), data.qvel.copy(), data.sensordata.copy())
 
 
-def walk(
-    task: SimulatedTask, policy: Policy, engine: Engine, start: tuple[np.ndarray, np.ndarray], seed: int
-) -> Walk:
+def walk(task: SimulatedTask, policy: Policy, engine: Engine, start: tuple[np.ndarray, np.ndarray], seed: int) -> Walk:
     """Run one episode of a policy in an engine, until the task ends it.
 
     Args:
@@ -133,9 +131,10 @@ def walk(
         )
         if outcome.terminated or outcome.truncated:
             break
-    columns = [np.array(column) for column in zip(*rows, strict=True)]
+    recorded = ("position", "height", "angles", "rates", "feet_down", "lowest", "torque", "peak", "desired")
+    columns = {name: np.array(column) for name, column in zip(recorded, zip(*rows, strict=True), strict=True)}
     finished, fell = (False, False) if outcome is None else (bool(outcome.success), bool(outcome.terminated))
-    return Walk(*columns, finished, fell, tuple(refused))
+    return Walk(**columns, finished=finished, fell=fell, refused=tuple(refused))
 
 
 def given(
@@ -151,4 +150,3 @@ def given(
     }
     commands = {name: values[name] for name in policy.contract.commands}
     return {name: values[name] for name in policy.contract.readings}, commands or None
-

@@ -18,8 +18,8 @@ from gctd3.robots.mjcf import bodies_below, body_name, colliding_geoms, joint_ki
 from gctd3.robots.robot import Robot
 
 WORLD = "world"  # name of the link that stands for the world
-# Mass (kg) and moments of inertia (kg m^2) of the links between several joints of a body: MuJoCo refuses 0, Bullet takes
-# 0 for what cannot move, and DART makes 1e-9 of less.
+# Mass (kg) and moments of inertia (kg m^2) of links that have none, and of those between several joints of a body:
+# MuJoCo refuses 0, Bullet takes 0 for what cannot move, and DART makes 1e-9 of less.
 LIGHT = 1e-9
 Shape = Literal["box", "cylinder", "sphere", "mesh"]
 
@@ -233,10 +233,10 @@ class _Reading:
         frame = _matrix(model.body_iquat[body])
         inertia = frame @ np.diag(model.body_inertia[body]) @ frame.T
         solids = tuple(solid for geom in self._geoms(body) for solid in _solids(model, geom, origin))
-        mass = float(model.body_mass[body])
-        self.made.append(
-            Link(name, mass, model.body_ipos[body] - origin, inertia + armature * np.eye(3), solids, body)
-        )
+        mass = max(float(model.body_mass[body]), LIGHT)
+        if not model.body_mass[body]:
+            inertia = LIGHT * np.eye(3)
+        self.made.append(Link(name, mass, model.body_ipos[body] - origin, inertia + armature * np.eye(3), solids, body))
 
     def _geoms(self, body: int) -> list[int]:
         start = int(self.model.body_geomadr[body])

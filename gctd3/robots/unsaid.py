@@ -37,6 +37,9 @@ def _joints(robot: Robot, links: Links, form: Format) -> Iterator[str]:
     light = [link.name for link in links.links if link.body < 0]
     if light:
         yield f"Bodies with several joints are chains of links, of {LIGHT:g} kg each: {listed(light)}."
+    empty = [link.name for link in links.links if link.body >= 0 and not model.body_mass[link.body]]
+    if empty:
+        yield f"Links without mass have {LIGHT:g} kg: {listed(empty)}."
     far = [joint.name for joint in moving if joint.kind == "slide" and np.isinf(joint.upper)]
     if far and form == "urdf":
         yield f"Slides without limits have those of {FAR:g} m: {listed(far)}."
@@ -123,5 +126,3 @@ def _texts(values: dict[str, str]) -> str:
     for name, value in values.items():
         names.setdefault(value, []).append(name)
     return "; ".join(f"{value} of {', '.join(same)}" for value, same in names.items())
-
-

@@ -34,9 +34,10 @@ ROOMS = (
     "training",
     "runs",
     "deploy",
+    "engines",
     "comparison",
 )
-DOORS = ("train", "evaluate", "view", "render", "export", "graph", "report", "__main__")
+DOORS = ("train", "evaluate", "view", "render", "export", "graph", "report", "crosscheck", "__main__")
 ASSETS = ("conf", "models")  # installed with the package, and not Python
 MOST_FILES, MOST_LINES = 16, 60  # at the top level; of a command
 HEAVY = ("hydra", "dm_control", "torch", "torchrl", "mujoco", "gymnasium", "numpy")
