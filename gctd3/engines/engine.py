@@ -136,11 +136,10 @@ class OtherEngine(Engine):
             q, v = self.free.qpos, self.free.qvel
             turn = np.zeros(9)
             mujoco.mju_quat2Mat(turn, qpos[q + 3 : q + 7])
-            turn = turn.reshape(3, 3)
+            rotation = turn.reshape(3, 3)
             # MuJoCo's angular velocity is in the body's frame.
-            base = Pose(
-                qpos[q : q + 3] + np.array([0.0, 0.0, above]), turn, qvel[v : v + 3].copy(), turn @ qvel[v + 3 : v + 6]
-            )
+            place, rate = qpos[q : q + 3] + np.array([0.0, 0.0, above]), rotation @ qvel[v + 3 : v + 6]
+            base = Pose(place, rotation, qvel[v : v + 3].copy(), rate)
         elif above and self.robot.base.height is not None:
             height = self.robot.base.height
             angles[list(self._qpos).index(height.qpos)] += above * height.sign
