@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from gctd3.engines.engine import OtherEngine, Pose, ground_friction
+from gctd3.robots.links import WORLD
 
 _GROUND = (400.0, 400.0, 1.0)  # m
 _ROUGH = 1e3  # friction of the ground: of two DART takes the smaller
@@ -31,6 +32,7 @@ class Dart(OtherEngine):
             joint.setLimitEnforcement(True)
             joint.setDampingCoefficient(0, 0.0)
             joint.setCoulombFriction(0, float(friction))
+        self._names = {body.getName() for body in skeleton.getBodyNodes()}
         surfaces = ground_friction(self.robot)
         for body in skeleton.getBodyNodes():
             for node in body.getShapeNodes():
@@ -38,6 +40,7 @@ class Dart(OtherEngine):
                     node.getDynamicsAspect().setFrictionCoeff(surfaces.get(body.getName(), 1.0))
         ground = dynamics.Skeleton("ground")
         _, body = ground.createWeldJointAndBodyNodePair()
+        body.setName(WORLD)
         node = body.createShapeNode(dynamics.BoxShape(list(_GROUND)))
         node.createCollisionAspect()
         node.createDynamicsAspect().setFrictionCoeff(_ROUGH)
@@ -96,4 +99,5 @@ class Dart(OtherEngine):
     def touching(self) -> frozenset[str]:
         """Return the names of the bodies that touch the ground."""
         result = self._world.getLastCollisionResult()
-        return frozenset(body.getName() for body in result.getCollidingBodyNodes())
+        touched = {body.getName() for body in result.getCollidingBodyNodes()}
+        return frozenset(touched & self._names)

@@ -14,6 +14,7 @@ from gctd3.robots.links import LIGHT, Links
 from gctd3.robots.mjcf import bodies_below, body_name, colliding_geoms
 from gctd3.robots.robot import Robot
 
+MANY = 12  # names that are listed
 Format = Literal["urdf", "sdf"]
 # What a URDF has to state and MuJoCo has no limit for: m, N m or N, rad/s or m/s.
 FAR, STRONG, FAST = 1e6, 1e6, 1e3
@@ -125,4 +126,6 @@ def _texts(values: dict[str, str]) -> str:
     names: dict[str, list[str]] = {}
     for name, value in values.items():
         names.setdefault(value, []).append(name)
+    if len(names) == 1 and len(values) > MANY:
+        return f"{next(iter(names))} of all {len(values)}"
     return "; ".join(f"{value} of {', '.join(same)}" for value, same in names.items())
