@@ -27,6 +27,8 @@ class Bullet(OtherEngine):
             bullet = self._bullet
             bullet.setGravity(*self.robot.model.opt.gravity.tolist())
             bullet.setTimeStep(self.timestep)
+            # Else a file that is written anew would be read as it was.
+            bullet.setPhysicsEngineParameter(enableFileCaching=0)
             self._ground = bullet.createMultiBody(0, bullet.createCollisionShape(bullet.GEOM_PLANE))
             self._body = bullet.loadURDF(
                 str(self.file.absolute()), useFixedBase=self.free is None, flags=bullet.URDF_USE_INERTIA_FROM_FILE
