@@ -300,6 +300,39 @@ def control_of(server: Any, uuid: str) -> object:  # noqa: ANN401 - a viser.Vise
     return controls.get(uuid) or keys.get(uuid)
 
 
+def wake_by_the_loop() -> None:
+    """Have the clients of viser servers woken by the thread of the server's event loop alone; again changes nothing.
+
+    viser sets its ``asyncio.Event`` twice, first in the thread that changes the page and then in the loop. That class
+    is not for several threads: while a client comes or goes the first may raise a RuntimeError, and end the program.
+
+    Private: ``viser.infra._async_message_buffer.AsyncMessageBuffer`` and its ``message_event`` (viser 1.1.1).
+    """
+    import asyncio
+    from importlib import import_module
+
+    class LoopEvent(asyncio.Event):
+        def set(self) -> None:
+            try:
+                asyncio.get_running_loop()
+            except RuntimeError:  # another thread: viser asks the loop to set it next
+                return
+            super().set()
+
+    buffer = read(import_module("viser.infra._async_message_buffer"), "AsyncMessageBuffer", VISER)
+    make = buffer.__init__
+    if hasattr(make, "__wrapped__"):
+        return
+
+    @functools.wraps(make)
+    def made(self: Any, *arguments: Any, **named: Any) -> None:  # noqa: ANN401 - viser's
+        make(self, *arguments, **named)
+        read(self, "message_event", VISER)
+        self.message_event = LoopEvent()
+
+    buffer.__init__ = made
+
+
 @contextlib.contextmanager
 def served_with(change: Callable[[dict[str, Any]], dict[str, Any]]) -> Iterator[None]:
     """Let a viser server that starts within the block call ``websockets.asyncio.server.serve`` with other arguments.

@@ -6,7 +6,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from gctd3.config.help import helped
-from gctd3.files import shown
+from gctd3.files import quoted
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -31,7 +31,7 @@ def _task(config: DictConfig) -> None:
     print(f"Actions differ from PyTorch's by at most {exported.difference:.1e} over {exported.states:,} states.")
     for line in exported.warnings:
         print(f"Warning: {line}", file=sys.stderr)
-    print(f"Written to {' and '.join(map(shown, exported.files))}")
+    print(f"Written to {' and '.join(map(quoted, exported.files))}")
 
 
 def _with_robot(arguments: list[str]) -> list[str]:

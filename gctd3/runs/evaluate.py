@@ -21,7 +21,7 @@ from gctd3.evaluation.quantities import quantity
 from gctd3.evaluation.robustness import Examination
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize, why_missing
-from gctd3.files import made, new_file, shown, unwritable, write_text
+from gctd3.files import made, new_file, quoted, unwritable, write_text
 from gctd3.progress import StatusLine
 from gctd3.robots.robot import Robot
 from gctd3.runs.settings import EvaluateSettings
@@ -78,7 +78,7 @@ def where_written(folder: Path | None, names: Sequence[str]) -> str:
     """
     if folder is None:
         return "Nothing is written for the policy that ships with gctd3: out=DIR writes, and run=DIR to that run."
-    return f"Written to {' and '.join(shown(folder / name) for name in names if (folder / name).is_file())}"
+    return f"Written to {' and '.join(quoted(folder / name) for name in names if (folder / name).is_file())}"
 
 
 def write_evaluation(folder: Path | None, report: Mapping[str, object], motion: str | None) -> None:

@@ -33,7 +33,7 @@ from gctd3.data.stepping import Stepping
 from gctd3.envs.factory import EnvRecipe, build_env
 from gctd3.errors import NumericalError, RunError, TrainingError, WorkerError
 from gctd3.evaluation.rollout import evaluate
-from gctd3.files import new_directory, save_tree, shown, write_manifest, write_text
+from gctd3.files import new_directory, quoted, save_tree, write_manifest, write_text
 from gctd3.setup.setup import Setup
 from gctd3.signals import StopRequest
 from gctd3.tasks.simulated_task import SimulatedTask
@@ -119,7 +119,7 @@ class Trainer:
         """Copy the networks of the run that ``init`` names, if it names one."""
         if self.settings.init is not None:
             frames = begin_from(self.algorithm, Path(self.settings.init))
-            print(f"Networks begin as {shown(self.settings.init)} had them after {frames:,} frames.", flush=True)
+            print(f"Networks begin as {quoted(self.settings.init)} had them after {frames:,} frames.", flush=True)
 
     @property
     def _first_evaluation(self) -> int:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import pytest
 import torch
 from tensordict import TensorDict
+from thinned import parametrize
 from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from toy_algorithms import GCN, GRAPH, KINDS, MLP, PRIVILEGED, batch, build, goal, going_on
@@ -294,7 +295,7 @@ def test_same_seed_same_result(name):
 # Learning.
 
 
-@pytest.mark.parametrize("network", [GCN, MLP], ids=["gcn", "mlp"])
+@parametrize(2, "network", [GCN, MLP], ids=["gcn", "mlp"])
 @every_algorithm
 def test_learns_a_toy_problem(name, network):
     settings = {"alpha": 0.05} if name == "sac" else {}

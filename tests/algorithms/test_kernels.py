@@ -177,6 +177,7 @@ def test_updates_without_kernels_end_where_those_with_them_do(name):
         torch.testing.assert_close(value, plain[key], rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.nightly
 def test_a_plain_training(finished, tmp_path):
     with kernels.use_plain():
         plain = rows(train(tmp_path / "plain", "algo=gctd3"))

@@ -48,6 +48,7 @@ def test_a_report_of_kept_runs_has_the_same_numbers(finished, tmp_path, monkeypa
     assert pages[0] == pages[1]
 
 
+@pytest.mark.nightly
 def test_crashed_and_examined_runs_are_kept_as_such(tmp_path):
     runs = tmp_path / "runs"
     examined(make(runs, "a0"), 0.8, [2.0, 4.0])

@@ -88,6 +88,7 @@ def test_what_does_not_say_how_it_was_evaluated_goes_with_its_like_only(tmp_path
     assert f"run={tmp_path / 'a1'} episodes=20 seed=5" in str(error.value)
 
 
+@pytest.mark.nightly
 def test_what_is_evaluated_now_has_to_be_evaluated_as_the_rest_was(finished, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for seed, name in enumerate(["gctd3", "gctd3 seed 1"]):

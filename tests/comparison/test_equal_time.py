@@ -91,6 +91,7 @@ def test_a_training_keeps_what_the_report_says(finished):
     assert (found.return_mean, found.success_rate) == (kept["return_mean"], kept["success_rate"])
 
 
+@pytest.mark.nightly
 def test_wall_clock_goes_on_where_a_training_is_resumed(finished, tmp_path):
     run = finished.copy("gctd3", tmp_path / "a")
     before = rows(run)

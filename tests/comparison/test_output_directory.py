@@ -70,6 +70,7 @@ def test_a_new_report_leaves_nothing_of_the_one_before(runs, tmp_path):
     assert contents(out) == {**contents(fresh), "figures/notes.md": b"mine"}
 
 
+@pytest.mark.nightly
 def test_kept_runs_stay_when_the_report_beside_them_is_made_again(runs, tmp_path):
     out = tmp_path / "out"
     report(ReportSettings(str(runs), str(out), True))
@@ -85,6 +86,7 @@ def test_kept_runs_stay_when_the_report_beside_them_is_made_again(runs, tmp_path
     assert contents(out) == before
 
 
+@pytest.mark.nightly
 def test_a_report_that_fails_leaves_the_one_before(runs, tmp_path, monkeypatch):
     out = tmp_path / "out"
     report(ReportSettings(str(runs), str(out)))

@@ -11,6 +11,7 @@ import pytest
 from browsers import chromium
 from made_up_runs import examined, make
 from omegaconf import OmegaConf
+from thinned import parametrize
 
 from gctd3.errors import RenderError
 from gctd3.training.saved_configuration import CONFIG, find_run
@@ -139,7 +140,7 @@ def films():
     return {f"{GROUPS[0]}, seed 0: a stride"}
 
 
-@pytest.mark.parametrize("width", [375, 1280])
+@parametrize(2, "width", [375, 1280])
 def test_every_figure_is_there_and_has_a_size(opened, width):
     page = opened(width)
     titles = every(page, "figure h3", "e.textContent")
@@ -182,7 +183,7 @@ def test_no_table_is_cut(opened, width):
     assert every(page, "[aria-label=Gaits] th", "e.textContent") == ["", *GROUPS]
 
 
-@pytest.mark.parametrize("width", [390, 1280])
+@parametrize(2, "width", [390, 1280])
 def test_a_sentence_stands_above_the_comparisons_and_the_rest_is_folded(opened, width):
     page = opened(width, unfolded=False)
     after = every(page, "#verdict ~ *", "e.className || e.tagName")[:4]
@@ -230,6 +231,7 @@ def test_the_first_column_stays_where_a_table_scrolls(opened):
     assert every(page, f"{gaits} tr > :nth-child(2)", place) == [left - 50 for left in cells]
 
 
+@pytest.mark.nightly
 def test_right_and_left_are_told_apart(opened):
     page = opened(1280)
     for group in GROUPS[:2]:

@@ -123,6 +123,7 @@ def test_failed_seeds_are_counted(tmp_path, capsys):
     assert "2 of 3" in text and "failed: " in text
 
 
+@pytest.mark.nightly
 def test_robustness_of_made_up_runs(pair, tmp_path):
     for seed, success in enumerate([0.5, 0.7, 0.9]):
         examined(pair / f"a{seed}", success, [2.0, 4.0], (4.0, 2.0 + seed))
@@ -243,6 +244,7 @@ def test_inline_figures_take_the_pages_colour_and_have_ids_of_their_own():
     assert "currentColor" in found and "#010203" not in found
 
 
+@pytest.mark.nightly
 def test_from_trainings_to_the_page(finished, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for algorithm in ("gctd3", "td3"):
@@ -276,6 +278,7 @@ def test_from_trainings_to_the_page(finished, tmp_path, monkeypatch, capsys):
     assert "no difference shown" in (tmp_path / "out" / "verdict.txt").read_text(encoding="utf-8")
 
 
+@pytest.mark.nightly
 def test_a_report_on_another_librarys_task(finished, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     finished.copy("library", tmp_path / "runs" / "a")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from running import command, process, tiny
+from thinned import parametrize
 
 from gctd3.files import read_manifest, write_manifest
 
@@ -79,7 +80,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("arguments", WRONG)
+@parametrize(2, "arguments", WRONG)
 def test_a_wrong_command_line_is_answered(capsys, tmp_path, arguments):
     error = answer(capsys, "train", *tiny(tmp_path / "run", *arguments.split()))
     assert all(words in error for words in WRONG[arguments]), error

@@ -10,6 +10,7 @@ import yaml
 from configs import composed, items
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
+from thinned import parametrize
 
 from gctd3.__main__ import main, script
 from gctd3.config.command_line import CONF
@@ -82,7 +83,7 @@ def test_the_reference_is_up_to_date():
         assert f"\n### `{group}`\n" in page and f"\n| `{option}` | " in page
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@parametrize(2, "command", COMMANDS)
 def test_examples_of_help_are_command_lines(command):
     lines = help_of(command).splitlines()
     examples = [line.strip() for line in lines if line.startswith(f"  python -m gctd3.{command} ")]

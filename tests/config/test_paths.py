@@ -156,6 +156,7 @@ def test_a_robots_name_may_hold_commas(tmp_path, monkeypatch):
     assert load_settings(tmp_path / "run").setup().robot.path == robot.relative_to(tmp_path)
 
 
+@pytest.mark.nightly
 def test_reports_and_exports_of_any_name(finished, tmp_path, capsys):
     pytest.importorskip("matplotlib")
     pytest.importorskip("onnxscript")

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 from configs import composed, items
+from thinned import parametrize
 
 import gctd3
 from gctd3.algorithms.settings import AlgorithmSettings, TD3Settings
@@ -44,7 +45,7 @@ def test_there_is_something_to_test():
     assert {"gctd3", "td3", "ddpg", "sac"} <= set(ALGORITHMS) and {"gcn", "mlp"} <= set(NETWORKS)
 
 
-@pytest.mark.parametrize("group, option", [option for option in OPTIONS if option != ("reward", "empty")])
+@parametrize(4, "group, option", [option for option in OPTIONS if option != ("reward", "empty")])
 def test_every_option_builds(group, option):
     # One for a robot of one's own lacks its file alone.
     name = ["robot.name=quadruped"] if (group, option) == ("robot", FREE) else []
@@ -64,7 +65,7 @@ def test_every_reward_can_evaluate_too(option):
     assert settings.evaluation.reward == build(composed(f"reward={option}")).reward
 
 
-@pytest.mark.parametrize("network", NETWORKS)
+@parametrize(4, "network", NETWORKS)
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_any_algorithm_takes_any_network(algorithm, network):
     settings = build(composed(f"algo={algorithm}", f"network={network}"))
@@ -80,7 +81,7 @@ def test_an_algorithm_brings_its_network_and_its_noise(algorithm, network):
     assert (settings.exploration.noise is None) == (algorithm == "sac")
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@parametrize(3, "algorithm", ALGORITHMS)
 @pytest.mark.parametrize("experiment", sorted(file.stem for file in (CONF / "experiment").glob("*.yaml")))
 def test_any_algorithm_takes_any_experiment(experiment, algorithm):
     build(composed(f"experiment={experiment}", f"algo={algorithm}"))

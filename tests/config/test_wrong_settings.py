@@ -7,6 +7,7 @@ import pytest
 from configs import composed, edited, items
 from hydra import compose, initialize_config_module
 from running import command, tiny
+from thinned import parametrize
 
 from gctd3.config.build import build, suggest
 from gctd3.errors import ConfigError
@@ -159,7 +160,8 @@ def test_a_target_that_is_none(default, target):
     assert message.startswith("task.randomisations.joint_noise") and "_target_" in message and repr(target) in message
 
 
-@pytest.mark.parametrize(
+@parametrize(
+    2,
     "key, near",
     [
         ("updates", "gradient_steps"),

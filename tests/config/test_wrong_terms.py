@@ -4,6 +4,7 @@ import pytest
 from compositions import STILL, env_of, walking
 from own_terms import Failing, FailingLater
 from running import command, tiny, train
+from thinned import parametrize
 
 from gctd3.envs.factory import make_env
 from gctd3.errors import ConfigError, TermError
@@ -119,7 +120,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("arguments", WRONG)
+@parametrize(2, "arguments", WRONG)
 def test_a_wrong_term_is_answered_in_a_line(capfd, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
     assert command("train", *tiny(tmp_path / "run", *arguments.split())) == 2
@@ -136,7 +137,7 @@ def test_a_term_that_fails_in_a_training_is_named(capfd, tmp_path):
     assert "of own_terms.py: OSError: [Errno 5] the sensor is gone" in error
 
 
-@pytest.mark.parametrize("logger", ["csv", "tensorboard"])
+@parametrize(2, "logger", ["csv", "tensorboard"])
 def test_a_training_that_fails_before_its_first_step_leaves_nothing(capfd, tmp_path, monkeypatch, logger):
     monkeypatch.chdir(tmp_path)
     term = "+reward.terms.x._target_=own_terms.FailingAtOnce"

@@ -8,6 +8,7 @@ import torch
 from compositions import env_of, walking
 from running import Recorded, command, rows, tiny, train
 from suite_robots import load
+from thinned import parametrize
 from torchrl.envs import Compose, Transform, TransformedEnv
 
 from gctd3.envs.check import CheckStep
@@ -77,7 +78,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@parametrize(2, "fault", FAULTS)
 def test_a_number_that_is_none_ends_the_training(tmp_path, capsys, fault):
     poison, said = FAULTS[fault]
     run = tmp_path / "run"
@@ -189,7 +190,7 @@ def test_an_action_out_of_its_range_is_found(task, value, said):
         env.step(state)
 
 
-@pytest.mark.parametrize("backend", ["batched", "dm_control"])
+@parametrize(2, "backend", ["batched", "dm_control"])
 def test_checking_changes_nothing(finished, tmp_path, backend):
     unchecked = finished["gctd3" if backend == "batched" else backend]
     assert not load_settings(unchecked).env.check
@@ -257,7 +258,7 @@ def explode(trainer):
         base._envs[ROBOT]._env.physics.data.qvel[:] = 1e12
 
 
-@pytest.mark.parametrize("backend", ["batched", "dm_control"])
+@parametrize(2, "backend", ["batched", "dm_control"])
 def test_a_divergence_is_counted(tmp_path, backend):
     shown = []
 

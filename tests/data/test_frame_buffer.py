@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from thinned import parametrize
 
 import gctd3
 from gctd3.data.frame_buffer import FrameBuffer
@@ -34,7 +35,7 @@ def expected(collected, n_step):
     return {tuple(action.tolist()): stacked[i] for i, action in enumerate(stacked["action"])}
 
 
-@pytest.mark.parametrize("n_step", [1, 3])
+@parametrize(2, "n_step", [1, 3])
 @pytest.mark.parametrize("rows", [STEPS + 10, 37])  # with room to spare; the ring gone round four times
 @pytest.mark.parametrize("chunk", [1, 7])
 def test_same_transitions_as_the_stacked_buffer(collected, n_step, rows, chunk):

@@ -205,6 +205,7 @@ def test_the_headers_policy_is_pythons_over_good_and_bad_calls(tmp_path, contrac
     np.testing.assert_allclose(mine, expected, atol=1e-5)
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_the_command_writes_a_header(tmp_path, capsys):
     header = tmp_path / "policy.hpp"

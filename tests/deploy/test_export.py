@@ -117,6 +117,7 @@ def test_a_desired_angle_may_change_as_it_does_in_the_walk(exported):
     assert (most < high - low).any()
 
 
+@pytest.mark.nightly
 def test_torch_export_holds_policy_and_contract(tmp_path, states):
     file, extra = tmp_path / "policy.pt2", {"policy.json": ""}
     assert command("export", f"out={file}", "max_rate=7", "episodes=1", "threads=1") == 0

@@ -96,6 +96,7 @@ def test_rewards_and_ways_are_the_tasks_own():
     assert np.std(seen) > 0 and state["nodes"].shape == (2, 9, 4)
 
 
+@pytest.mark.nightly
 @pytest.mark.dm_control
 def test_dm_controls_period_and_time_limit():
     from dm_control import suite
@@ -136,6 +137,7 @@ def test_actions_of_dm_control_are_scaled_too():
         np.testing.assert_allclose(physics.control(), limits[:, end])
 
 
+@pytest.mark.nightly
 def test_feet_and_forward_are_those_named(tmp_path, capsys):
     named = ["task=walker2d", "robot.feet=[foot_left]", "robot.forward=-x"]
     run = train(tmp_path / "run", "algo=gctd3", *named, *FEW, without=WITHOUT)
@@ -214,6 +216,7 @@ def test_trains_on_the_tasks_own_observation(tmp_path, capsys):
         assert "task.observation must be nodes for a network that knows the robot's graph" in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_trains_on_nodes_that_say_what_they_are(tmp_path, capsys):
     static = ["task=walker2d", "task.static=true", *FEW]
     run = train(tmp_path / "run", "algo=gctd3", *static, without=WITHOUT)

@@ -163,6 +163,7 @@ def test_the_seed_says_which_commands(mine):
     assert torch.equal(first, same.reset()["nodes"]) and not torch.equal(first, other.reset()["nodes"])
 
 
+@pytest.mark.nightly
 def test_a_run_of_it_is_trained_resumed_evaluated_and_exported(tmp_path):
     whole = train(tmp_path / "whole", *SAID)
     part = stopped(tmp_path / "part", 160, *SAID)

@@ -1,6 +1,8 @@
 """gctd3.compat: every private name exists and works as expected, and a missing one raises an error that names it."""
 
+import asyncio
 import queue
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -215,6 +217,37 @@ def test_own_launcher():
 
 
 # viser
+
+
+def test_clients_of_viser_are_woken_in_the_loop():
+    """A message of another thread neither wakes anybody there nor is lost."""
+    pytest.importorskip("viser")
+    compat.wake_by_the_loop()
+    compat.wake_by_the_loop()
+    from viser.infra import Message
+    from viser.infra._async_message_buffer import AsyncMessageBuffer
+
+    class Said(Message):
+        def redundancy_key(self):
+            return "said"
+
+    async def run():
+        buffer = AsyncMessageBuffer(asyncio.get_running_loop(), persistent_messages=True)
+
+        async def first():
+            return await anext(aiter(buffer.window_generator(0)))
+
+        client = asyncio.create_task(first())
+        await asyncio.sleep(0.1)  # it waits for a message now
+        # The loop stands still while another thread sends one.
+        sender = threading.Thread(target=buffer.push, args=(Said(),))
+        sender.start()
+        sender.join()
+        early = buffer.message_event.is_set()
+        return early, await asyncio.wait_for(client, 10)
+
+    early, (message,) = asyncio.run(run())
+    assert not early and isinstance(message, Said)
 
 
 def test_a_viser_server_is_served_with_other_arguments():

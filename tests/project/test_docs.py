@@ -20,6 +20,7 @@ from fuzzing import answered
 from omegaconf import DictConfig, OmegaConf
 from robots import TWO_LEGS
 from running import TINY, command, train
+from thinned import parametrize
 
 from gctd3.config.help import COMMANDS
 from gctd3.training.saved_configuration import load_settings
@@ -208,7 +209,7 @@ def quick():
     return list(found.values())
 
 
-@pytest.mark.parametrize("line", quick())
+@parametrize(2, "line", quick())
 def test_a_line_of_each_quick_command_runs(line, place, monkeypatch, capfd):
     run_line(line, place, monkeypatch)
 
@@ -239,7 +240,7 @@ def test_a_command_runs(line, place, monkeypatch, capfd):
 TRAININGS = [line for line in LINES if parsed(line)[0] == "train" and "-m" not in parsed(line)[1]]
 
 
-@pytest.mark.parametrize("line", [line for line in TRAININGS if line not in quick()])
+@parametrize(5, "line", [line for line in TRAININGS if line not in quick()])
 def test_a_training_can_begin(line, place, monkeypatch):
     monkeypatch.chdir(place)
     _, arguments = parsed(line)

@@ -9,6 +9,8 @@ from running import TINY, command, rows
 
 EXTENDING = Path(__file__).parents[2] / "examples" / "extending"
 FOLDERS = sorted(path.name for path in EXTENDING.iterdir() if path.is_dir())
+# A task brings terms of every kind.
+QUICK = ("network", "whole_task")
 
 
 def said(folder):
@@ -18,7 +20,7 @@ def said(folder):
     return shown[1], shlex.split(shown[2].replace("\\\n", " "))
 
 
-@pytest.fixture(params=FOLDERS)
+@pytest.fixture(params=[pytest.param(f, marks=[pytest.mark.nightly] * (f not in QUICK)) for f in FOLDERS])
 def trained(request, tmp_path, monkeypatch):
     """Train a tiny run with the command that an example shows."""
     path, arguments = said(request.param)

@@ -206,6 +206,7 @@ def test_command_lines(here, count):
     )()
 
 
+@pytest.mark.nightly
 @both(3, 120)
 def test_configurations_of_runs(run, here, count):
     cases(count)(

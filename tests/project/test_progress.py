@@ -33,7 +33,7 @@ def screen(monkeypatch):
         monkeypatch.setattr("sys.stderr", stream)
         monkeypatch.setattr(progress, "time", clock)
         monkeypatch.setattr("gctd3.training.progress.time", clock)
-        monkeypatch.setattr("shutil.get_terminal_size", lambda *_: os.terminal_size((columns, 24)))
+        monkeypatch.setattr("shutil.get_terminal_size", lambda *_, **__: os.terminal_size((columns, 24)))
         return stream
 
     return make

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from hydra import compose, initialize_config_module
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from thinned import parametrize
 
 from gctd3.config.help import COMMANDS, root_of
 
@@ -114,7 +115,7 @@ def hydras(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("line", sorted(SHOWN))
+@parametrize(6, "line", sorted(SHOWN))
 def test_a_shown_command_composes(line, hydras):
     _, _, module, *arguments = SHOWN[line]
     name = module.removeprefix("gctd3.")

@@ -210,6 +210,7 @@ def test_it_is_mirrored_where_the_sides_are_alike(tmp_path, capsys):
     assert "\nmirror: on, the left and the right are equal\n" in capsys.readouterr().out
 
 
+@pytest.mark.nightly
 def test_one_actuator_without_an_image_refuses_no_training(tmp_path, capsys):
     text = FREE_LEGS.replace('<position name="hip_l" joint="hip_l" ctrlrange="-1 1"/>', "")
     for side in "rl":

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.spaces import Box, Dict
+from thinned import parametrize
 
 from gctd3.envs.node_observation import NodeObservation
 from gctd3.errors import ConfigError
@@ -133,7 +134,7 @@ def test_wrong_arguments_are_answered(space, settings, answer):
 # In the algorithms.
 
 
-@pytest.mark.parametrize("share", [False, True])
+@parametrize(2, "share", [False, True])
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_trains_saves_and_loads(algorithm, share, tmp_path):
     env = NodeObservation(gymnasium.make("Hopper-v5"), history=2)
@@ -194,7 +195,7 @@ LEARNERS = {
 STEPS = {"TD3": 400, "SAC": 300, "PPO": 768}
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@parametrize(3, "algorithm", ALGORITHMS)
 def test_learns(algorithm):
     """What only two nodes sense is learned: less than half of the best constant action's loss remains."""
     settings = dict(LEARNERS[algorithm])

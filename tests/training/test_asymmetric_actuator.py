@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 from running import command, rows, tiny, train
+from thinned import parametrize
 
 from gctd3.robots.mjcf import find_mjcf
 from gctd3.robots.settings import RobotSettings
@@ -39,7 +40,8 @@ def case(request, tmp_path_factory):
     return path, actions
 
 
-@pytest.mark.parametrize(
+@parametrize(
+    2,
     ("mirror", "backend"),
     [
         ("auto", "batched"),

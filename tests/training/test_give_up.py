@@ -7,6 +7,7 @@ import pytest
 import torch
 from running import TINY, command, tiny
 from tensordict import TensorDict
+from thinned import parametrize
 
 from gctd3.errors import ConfigError
 from gctd3.robots.robot import Robot
@@ -162,7 +163,8 @@ HOPELESS = {
 }
 
 
-@pytest.mark.parametrize(
+@parametrize(
+    2,
     ("kind", "more"),
     [
         ("diverged", []),

@@ -239,6 +239,7 @@ def assert_goes_on(whole, run, *overrides):
     assert not list(run.rglob("*.tmp"))
 
 
+@pytest.mark.nightly
 def test_what_a_kill_inside_a_checkpoint_would_leave_goes_on(finished, tmp_path, monkeypatch):
     """A kill leaves of a run what is on the disk at that moment, which a copy keeps."""
     whole, run = finished["gctd3"], tmp_path / "run"
@@ -269,6 +270,7 @@ def test_a_kill_before_any_file_of_a_checkpoint_leaves_the_one_before(finished, 
     assert struck >= {".rows-.safetensors.tmp", "state.safetensors", "manifest.json", ".step-.tmp", "checkpoints"}
 
 
+@pytest.mark.nightly
 def test_a_file_that_finds_no_room_leaves_the_last_checkpoint(finished, tmp_path, monkeypatch, capsys):
     """A disk that is full from the third file of the second checkpoint on leaves the first checkpoint whole."""
     whole, run = finished["gctd3"], tmp_path / "run"

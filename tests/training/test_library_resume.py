@@ -18,6 +18,7 @@ WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episod
 
 
 # Walker2d falls within the frames of the test; dm_control's episodes have 1,000 steps, so it is evaluated only once.
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "task, every",
     [

@@ -31,6 +31,7 @@ def _place(tmp_path, monkeypatch):
 WAYS = ["--config-dir=own", "--config-dir own", "-cd own", "hydra.searchpath=[file://{}/own]"]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("way", [WAYS[0], *(pytest.param(way, marks=pytest.mark.nightly) for way in WAYS[1:])])
 def test_options_stand_anywhere_among_the_settings(tmp_path, way):
     words = way.format(tmp_path).split(" ")

@@ -11,6 +11,7 @@ from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 from resuming import TIMED, StopAfter, assert_same_run, stopped
 from running import TINY, Recorded, command, rows, train
+from thinned import parametrize
 
 from gctd3.config.build import build
 from gctd3.runs.load import load_policy
@@ -46,6 +47,7 @@ def test_stopped_and_resumed_equals_left_alone(finished, tmp_path, algo, backend
     assert_same_run(whole, part)
 
 
+@pytest.mark.nightly
 def test_stopped_in_the_warm_up_and_twice_more(finished, tmp_path):
     whole = finished["gctd3"]
     part = stopped(tmp_path / "part", 40)
@@ -59,6 +61,7 @@ def test_stopped_in_the_warm_up_and_twice_more(finished, tmp_path):
     assert_same_run(whole, part)
 
 
+@pytest.mark.nightly
 def test_stopped_while_it_imitates_a_gait(tmp_path, capsys):
     """The gait is known again after the warm-up in which it evolved, and pulls as strongly as before."""
     settings = [
@@ -77,6 +80,7 @@ def test_stopped_while_it_imitates_a_gait(tmp_path, capsys):
     assert_same_run(whole, part)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("storage", ["frames", pytest.param("stacked", marks=pytest.mark.nightly)])
 def test_stopped_after_it_had_begun_again(tmp_path, storage):
     never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=80", "exploration.learning_starts=40"]
@@ -129,6 +133,7 @@ HISTORY = {
 }
 
 
+@pytest.mark.nightly
 def test_a_setting_counts_that_an_earlier_command_line_has_too(tmp_path):
     wanted = {}
     with initialize_config_module("gctd3.conf", version_base="1.3"):
@@ -145,7 +150,7 @@ def test_a_setting_counts_that_an_earlier_command_line_has_too(tmp_path):
         assert changed(tmp_path, "config", command_line(tmp_path)) == (saved, command_line(tmp_path))
 
 
-@pytest.mark.parametrize("line", ["stop_when=never", "~stop_when.at_least.success_rate", "~stop_when.at_most"])
+@parametrize(3, "line", ["stop_when=never", "~stop_when.at_least.success_rate", "~stop_when.at_most"])
 def test_a_setting_can_be_left_out(tmp_path, line):
     with initialize_config_module("gctd3.conf", version_base="1.3"):
         save_config(tmp_path, compose("config"), [])
@@ -163,6 +168,7 @@ def test_keys_of_the_options_that_the_run_chose_are_known(tmp_path, capsys):
     assert "Unknown key 'collector.workers'" in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_the_csv_logger_goes_back_to_the_checkpoint(tmp_path):
     whole = train(tmp_path / "whole", "logger=csv")
     part = stopped(tmp_path / "part", 176, "logger=csv")
@@ -230,7 +236,7 @@ def test_a_damaged_checkpoint_is_passed_over(finished, tmp_path, capsys):
     assert before.name < newest.name
 
 
-@pytest.mark.parametrize("first", [True, False])
+@parametrize(2, "first", [True, False])
 def test_the_last_word_counts_for_every_setting_that_may_change(tmp_path, first):
     """Whether a setting stood on the first command line or not, and however often it goes to and fro."""
     fro = ["keep_checkpoints=2", "time_limit=1", "logger=csv", "stop_when.evaluations=2", "threads=1", "device=cpu"]
@@ -255,7 +261,8 @@ def test_a_share_of_the_cores_does_not_outlast_a_word(tmp_path):
         assert changed(tmp_path, "config", ["threads=null"])[0].threads is None
 
 
-@pytest.mark.parametrize(
+@parametrize(
+    2,
     ("change", "said"),
     [
         ("threads=2", "threads 1 -> 2"),
@@ -288,7 +295,7 @@ def damage_policy(best):
     (best / "policy.safetensors").write_bytes(b"0")
 
 
-@pytest.mark.parametrize("damage", [shutil.rmtree, damage_manifest, damage_policy])
+@parametrize(3, "damage", [shutil.rmtree, damage_manifest, damage_policy])
 def test_a_lost_best_policy_is_noticed_and_replaced(finished, tmp_path, capsys, damage):
     run = finished.copy("gctd3", tmp_path / "run")
     (best,) = (run / "checkpoints").glob("best-*")
@@ -301,6 +308,7 @@ def test_a_lost_best_policy_is_noticed_and_replaced(finished, tmp_path, capsys, 
     assert Checkpoints(run).newest()[0]["best"]["frames"] == 320
 
 
+@pytest.mark.nightly
 def test_a_best_policy_that_is_made_again_is_not_lost(finished, tmp_path, capsys):
     """The last one came after the checkpoint, and the one before was deleted for it."""
     whole, run = finished["gctd3"], stopped(tmp_path / "run", 128)
@@ -312,7 +320,7 @@ def test_a_best_policy_that_is_made_again_is_not_lost(finished, tmp_path, capsys
     assert rows(whole, drop=TIMED) == rows(run, drop=TIMED)
 
 
-@pytest.mark.parametrize("place", ["checkpoints/step-000000000240", "checkpoints/replay", "checkpoints", ".hydra"])
+@parametrize(4, "place", ["checkpoints/step-000000000240", "checkpoints/replay", "checkpoints", ".hydra"])
 def test_a_link_in_a_run_is_refused_by_its_path(finished, tmp_path, capsys, place):
     """What a resumed run deletes and writes must be its own."""
     run = finished.copy("gctd3", tmp_path / "run")
@@ -327,12 +335,14 @@ def test_a_link_in_a_run_is_refused_by_its_path(finished, tmp_path, capsys, plac
     assert sorted(elsewhere.rglob("*")) == before
 
 
+@pytest.mark.nightly
 def test_a_run_may_be_reached_by_a_link(finished, tmp_path):
     run = finished.copy("gctd3", tmp_path / "run")
     (tmp_path / "latest").symlink_to(run)
     assert command("train", f"resume={tmp_path / 'latest'}", "total_frames=320") == 0
 
 
+@pytest.mark.nightly
 def test_a_sweep_goes_on_where_it_stopped(finished, tmp_path):
     whole = {0: finished["gctd3"], 1: finished["gctd3 seed 1"]}
     settings = [f"{key}={value}" for key, value in TINY.items()]

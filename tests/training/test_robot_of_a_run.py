@@ -123,6 +123,7 @@ def test_a_run_goes_on_with_its_robot(trained, run, tmp_path):
     assert OwnCopy.read(run).hash == OwnCopy.read(whole).hash
 
 
+@pytest.mark.nightly
 def test_networks_begin_as_another_runs_had_them(trained, run, tmp_path, monkeypatch):
     """Relative to the directory in which it is said, for good."""
     monkeypatch.chdir(run.parent)
@@ -132,6 +133,7 @@ def test_networks_begin_as_another_runs_had_them(trained, run, tmp_path, monkeyp
     assert command("train", f"resume={tmp_path / 'new'}", "total_frames=320") == 0
 
 
+@pytest.mark.nightly
 def test_other_commands_find_the_robot(trained, run, tmp_path, capsys):
     pytest.importorskip("matplotlib")
     (trained / "robot.xml").rename(trained / "other.xml")

@@ -135,6 +135,7 @@ def test_no_stranger_is_imported_unless_it_is_allowed(tmp_path, monkeypatch, cap
     del sys.modules["stranger"]
 
 
+@pytest.mark.nightly
 def test_a_command_line_may_name_modules_of_ones_own(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(STRANGER.format(marker=str(tmp_path / "marker")))
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -145,6 +146,7 @@ def test_a_command_line_may_name_modules_of_ones_own(tmp_path, monkeypatch):
 MINE = "from own_terms import Rising\n\n\nclass Mine(Rising):\n    pass\n"
 
 
+@pytest.mark.nightly
 def test_a_sweep_with_terms_of_ones_own_goes_on(tmp_path, monkeypatch, capsys):
     """As in a process of its own, which has imported nothing yet."""
     (tmp_path / "mine.py").write_text(MINE)
@@ -159,6 +161,7 @@ def test_a_sweep_with_terms_of_ones_own_goes_on(tmp_path, monkeypatch, capsys):
     del sys.modules["mine"]
 
 
+@pytest.mark.nightly
 def test_what_a_training_prints_can_be_pasted(tmp_path, monkeypatch, capsys):
     (tmp_path / "mine.py").write_text(MINE)
     monkeypatch.syspath_prepend(str(tmp_path))

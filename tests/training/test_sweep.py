@@ -17,6 +17,7 @@ from hydra.errors import MissingConfigException
 from omegaconf import OmegaConf
 from resuming import assert_same_run
 from running import TINY, Recorded, command, rows, train, wait_for
+from thinned import parametrize
 
 from gctd3.comparison.groups import groups_of
 from gctd3.comparison.runs import find_runs
@@ -60,7 +61,7 @@ def jobs(experiment):
     return found
 
 
-@pytest.mark.parametrize("experiment", READY)
+@parametrize(3, "experiment", READY)
 def test_ready_sweeps_are_fair(experiment):
     found = [build(config) for _, config in jobs(experiment)]
     assert len(found) == len(SEEDS) * READY[experiment] and params(experiment)["seed"] == "range(5)"
@@ -77,7 +78,7 @@ def test_ready_sweeps_are_fair(experiment):
     assert all(s.stop_when.evaluations is None and s.total_episodes is None for s in found)
 
 
-@pytest.mark.parametrize("experiment", READY)
+@parametrize(3, "experiment", READY)
 def test_a_report_tells_the_runs_of_a_ready_sweep_apart(experiment, tmp_path):
     for number, (overrides, config) in enumerate(jobs(experiment)):
         save_config(tmp_path / str(number), config, overrides)
@@ -86,6 +87,7 @@ def test_a_report_tells_the_runs_of_a_ready_sweep_apart(experiment, tmp_path):
     assert all([run.seed for run in runs] == list(SEEDS) for runs in groups.values())
 
 
+@pytest.mark.nightly
 def test_the_mlp_among_the_graphs_has_as_many_parameters():
     sizes = {}
     for overrides, config in jobs("graphs"):
@@ -260,6 +262,7 @@ def test_a_run_that_reached_what_it_was_to_show_is_at_its_end(tmp_path):
     assert find_runs(run)[0].trouble is None
 
 
+@pytest.mark.nightly
 def test_a_sweeper_gets_the_return_of_the_best_policy(tmp_path, monkeypatch):
     got = []
 

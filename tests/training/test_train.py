@@ -9,6 +9,7 @@ from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 from running import Recorded, command, process, rows, tiny, train
 from tensordict import TensorDict
+from thinned import parametrize
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import gctd3
@@ -58,7 +59,7 @@ def test_a_training_ends_with_what_to_do_next(tmp_path, capsys):
     assert f"python -m gctd3.evaluate run={run} episodes=50" in said and f"python -m gctd3.view run={run}" in said
 
 
-@pytest.mark.parametrize("algorithm", ["gctd3", "td3", "ddpg", "sac"])
+@parametrize(2, "algorithm", ["gctd3", "td3", "ddpg", "sac"])
 def test_a_run_keeps_the_contract(finished, tmp_path, algorithm):
     run = finished.copy(algorithm, tmp_path / "run")
     text = (run / ".hydra" / "config.yaml").read_text(encoding="utf-8")

@@ -23,6 +23,7 @@ def runs(finished, tmp_path_factory):
     return filmed, finished["gctd3"]
 
 
+@pytest.mark.nightly
 def test_every_evaluated_policy_is_filmed(runs):
     videos = sorted((runs[0] / "videos").iterdir())
     assert [file.name for file in videos] == [f"{int(row['frames']):012d}.mp4" for row in rows(runs[0])]
@@ -33,6 +34,7 @@ def test_every_evaluated_policy_is_filmed(runs):
     assert not (runs[1] / "videos").exists()
 
 
+@pytest.mark.nightly
 def test_tensorboard_shows_them(runs):
     module = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     accumulator = module.EventAccumulator(str(runs[0] / "tensorboard"))

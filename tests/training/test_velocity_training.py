@@ -26,6 +26,7 @@ def test_stopped_and_resumed_equals_left_alone(finished, tmp_path):
     assert_same_run(finished["velocity"], part)
 
 
+@pytest.mark.nightly
 def test_a_training_begins_with_the_networks_of_another(finished, tmp_path, capsys):
     """Commands may differ; a run of another task observes other things, which is said in a line."""
     wider = "task.commands.velocity.forward=[-1.0,2.0]"
@@ -45,6 +46,7 @@ CASES = [
 ]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("robot", "algo", "backend"), CASES)
 def test_robots_networks_and_algorithms(tmp_path, robot, algo, backend):
     algo, *network = algo.split()
