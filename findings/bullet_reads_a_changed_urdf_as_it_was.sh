@@ -10,7 +10,7 @@
 set -euo pipefail
 dir=$(mktemp -d); trap 'rm -rf "$dir"' EXIT; cd "$dir"
 "${PYTHON:-python3}" -m venv venv
-venv/bin/pip install -q --disable-pip-version-check --only-binary=:all: pybullet==3.2.7
+venv/bin/pip install -q --disable-pip-version-check --only-binary=:all: pybullet==3.2.7 numpy==2.2.6
 venv/bin/python - <<'PY'
 from pathlib import Path
 

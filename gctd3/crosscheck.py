@@ -17,7 +17,7 @@ def _task(config: DictConfig) -> None:
     from gctd3.config.build import build
     from gctd3.engines.crosscheck import cross_check, table
     from gctd3.engines.settings import CrossCheckSettings
-    from gctd3.files import check_writable, shown, write_text
+    from gctd3.files import check_writable, quoted, write_text
 
     settings: CrossCheckSettings = build(config)
     if settings.out is not None:
@@ -26,7 +26,7 @@ def _task(config: DictConfig) -> None:
     print(table(check), flush=True)
     if settings.out is not None:
         write_text(Path(settings.out), json.dumps(check.report(), indent=1) + "\n")
-        print(f"Written to {shown(settings.out)}")
+        print(f"Written to {quoted(settings.out)}")
     if check.reasons():
         raise SystemExit(1)
 

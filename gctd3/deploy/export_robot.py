@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gctd3.deploy.settings import ExportSettings
-from gctd3.files import check_writable, shown
+from gctd3.files import check_writable, quoted
 from gctd3.robots.description import describe_robot
 from gctd3.runs.load import load_run
 
@@ -31,5 +31,5 @@ def export_robot(settings: ExportSettings) -> list[str]:
         *lines,
         f"{file.suffix[1:].upper()} cannot say, or says otherwise:",
         *(f"  {sentence}" for sentence in description.unsaid),
-        f"Written to {shown(file)}{meshes}",
+        f"Written to {quoted(file)}{meshes}",
     ]
