@@ -85,6 +85,7 @@ _TARGETS = {
     "ReportSettings": "gctd3.comparison.settings",
     "Reward": "gctd3.tasks.reward",
     "RobotSettings": "gctd3.robots.settings",
+    "RosSettings": "gctd3.bridge.settings",
     "ServoSettings": "gctd3.robots.servo_settings",
     "SACSettings": "gctd3.algorithms.settings",
     "SingleSupport": "gctd3.tasks.reward_terms",

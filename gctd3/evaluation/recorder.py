@@ -9,7 +9,7 @@ import numpy as np
 
 from gctd3.envs.simulation import Simulation
 from gctd3.evaluation.effort import mechanical_work
-from gctd3.robots.geometry import geom_points
+from gctd3.robots.geometry import geom_points, lowest_point
 from gctd3.robots.mjcf import colliding_geoms
 from gctd3.robots.robot import Robot
 
@@ -177,6 +177,15 @@ def soles(robot: Robot, qpos: np.ndarray, dt: float) -> tuple[np.ndarray, np.nda
     if len(qpos) > 1:
         speed[-1] = speed[-2]  # the last sample has no successor
     return height, speed
+
+
+def standing_height(robot: Robot) -> float:
+    """Return the height of the body's origin above the lowest point of the feet in the standing pose (m)."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    data.qpos[:] = robot.standing_qpos
+    mujoco.mj_kinematics(model, data)
+    geoms = [geom for foot in robot.foot_bodies for geom in colliding_geoms(model, foot)]
+    return float(data.xpos[robot.base.root, 2]) - lowest_point(model, data, geoms)
 
 
 def total_mass(robot: Robot) -> float:

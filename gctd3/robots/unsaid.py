@@ -32,8 +32,8 @@ def _joints(robot: Robot, links: Links, form: Format) -> Iterator[str]:
     armatures = {name: float(model.dof_armature[dof]) for name, dof in dofs.items() if model.dof_armature[dof]}
     if armatures:
         yield (
-            f"Armature (rotor inertia, kg m^2) is left out: {_values(armatures)}. Without it explicit servos with much damping explode "
-            "at 1 kHz; one can add it to the inertia of the link below the joint, about all three axes."
+            f"Armature (rotor inertia, kg m^2) is left out: {_values(armatures)}. Without it explicit servos with much "
+            "damping explode at 1 kHz; one can add it to the inertia of the link below the joint, about all three axes."
         )
     light = [link.name for link in links.links if link.body < 0]
     if light:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
+from gctd3.compat import postpone_compiler
 from gctd3.config.build import again, build, packages
 from gctd3.config.paths import escaped
 from gctd3.config.terminal import enduring_output
@@ -82,6 +84,8 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     if resumed:
         differs = changes_of_arithmetic(before, config)
     settings = build(config, trusted=not resumed, besides=own)
+    if not settings.algo.compile:
+        postpone_compiler()
     settings.check_here()
     setup = setup_of(run, settings) if resumed else settings.setup()
     # Before anything is written: a robot that cannot be mirrored as asked is refused.
@@ -133,6 +137,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
             )
         # From here on there is a result, which does not depend on who reads about it.
         with enduring_output():
+            gc.enable()  # which the command disabled for its start
             trainer.run(stop)
             print(closing(trainer.best, run, config, walks, trainer.finished))
             if not trainer.finished:

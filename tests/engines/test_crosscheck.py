@@ -22,11 +22,11 @@ from gctd3.runs.load import load_run
 from gctd3.runs.settings import EvaluateSettings
 
 DT, LEG = 0.02, 0.5
-NEEDED = "pip install 'gctd3[engines]'"
 
 
 def engine_of(name):
-    pytest.importorskip({"dart": "dartpy", "bullet": "pybullet"}[name], reason=NEEDED)
+    package = {"dart": "dartpy", "bullet": "pybullet"}[name]
+    pytest.importorskip(package, reason=f"needs {package}: pip install 'gctd3[engines]'")
     if name == "dart":
         from gctd3.engines.dart import Dart
 

@@ -202,7 +202,7 @@ def test_sdf_has_every_link_where_mujoco_has_it_at_angles_of_zero(base):
 @pytest.mark.parametrize("form", ["urdf", "sdf"])
 @pytest.mark.parametrize("name", ["biped", "biped_planar"])
 def test_dart_reads_the_same_masses_axes_and_places(name, form, tmp_path):
-    dartpy = pytest.importorskip("dartpy", reason="pip install 'gctd3[engines]'")
+    dartpy = pytest.importorskip("dartpy", reason="needs dartpy: pip install 'gctd3[engines]'")
     robot = RobotSettings(name).load()
     file = tmp_path / f"robot.{form}"
     describe_robot(robot, form, "robot").write(file)
