@@ -46,6 +46,7 @@ _TARGETS = {
     "BodyHeight": "gctd3.tasks.reward_terms",
     "CommandGrid": "gctd3.evaluation.settings",
     "Composition": "gctd3.tasks.simulated_task",
+    "CrossCheckSettings": "gctd3.engines.settings",
     "DDPGSettings": "gctd3.algorithms.settings",
     "Ended": "gctd3.tasks.reward_terms",
     "EnvSettings": "gctd3.envs.settings",

@@ -28,7 +28,7 @@ HELP = ("--help", "-h")
 USAGE_ERROR = 2
 UNREAD = 141  # exit code that shells report for a program whose output nobody reads
 # In the order in which one meets them.
-COMMANDS = ("view", "render", "train", "evaluate", "report", "graph", "export", "ros")
+COMMANDS = ("view", "render", "train", "evaluate", "report", "graph", "export", "crosscheck", "ros")
 _ROOTS = {"train": "config"}  # YAMLs that are not called as their command is
 _CHOICE = re.compile(r" +- (?P<group>\w+)(?:@(?P<place>[\w.]+))?: (?P<option>\w+)(?: +# *(?P<comment>.*))?$")
 # Of groups whose option follows from those of others.

@@ -35,9 +35,10 @@ ROOMS = (
     "runs",
     "deploy",
     "bridge",
+    "engines",
     "comparison",
 )
-DOORS = ("train", "evaluate", "view", "render", "export", "graph", "ros", "report", "__main__")
+DOORS = ("train", "evaluate", "view", "render", "export", "graph", "ros", "report", "crosscheck", "__main__")
 ASSETS = ("conf", "models")  # installed with the package, and not Python
 MOST_FILES, MOST_LINES = 17, 60  # at the top level; of a command
 HEAVY = ("hydra", "dm_control", "torch", "torchrl", "mujoco", "gymnasium", "numpy")
