@@ -187,7 +187,7 @@ def test_in_mujoco_the_walk_is_that_of_an_evaluation(exported):
     rng = np.random.default_rng(10_000)
     walked = walk(task, policy, Reference(task.robot, task.control_dt), task.start(rng), 0)
     assert walked.finished and not walked.refused
-    report, _ = measure_run(EvaluateSettings(episodes=1, threads=1))
+    report = measure_run(EvaluateSettings(episodes=1, threads=1)).report
     # Of float32 and float64 the steps differ by chaos, and the walk does not.
     assert walked.speed(task.control_dt) == pytest.approx(report["velocity_mean"], rel=0.01)
 
