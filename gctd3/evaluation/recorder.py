@@ -128,13 +128,12 @@ class Recorder:
         )
 
 
-def soles(
-    robot: Robot, qpos: np.ndarray, dt: float, terrain: Ground | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def soles(robot: Robot, qpos: np.ndarray, dt: float, terrain: Ground | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Compute the height of each foot's lowest point above the ground (m), and its horizontal speed (m/s).
 
-    The ground is where the foot is when the robot stands; on terrain, what is below the point. The point is fixed to the foot, and its speed is the distance that it goes to the next sample over ``dt``; a foot
-    that rolls over its edge does not slip.
+    The ground is where the foot is when the robot stands, and on terrain what is below the point. The point is fixed to
+    the foot, and its speed is the distance that it goes to the next sample over ``dt``; a foot that rolls over its edge
+    does not slip.
 
     Args:
         robot: The robot.

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -482,8 +482,8 @@ class Robot:
         return {}
 
     @cached_property
-    def grounds(self) -> dict[str, Robot]:
-        """Return the robot on each uneven ground so far, by a description of the ground."""
+    def grounds(self) -> dict[str, Any]:
+        """Return what was built of each uneven ground so far, by a description of the ground."""
         return {}
 
     @cached_property

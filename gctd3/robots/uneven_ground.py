@@ -15,7 +15,6 @@ import numpy as np
 
 from gctd3.errors import RobotError
 from gctd3.robots.ground import find_floor
-from gctd3.robots.mjcf import bodies_below
 from gctd3.robots.robot import Robot
 
 _COLOURS = ((0.63, 0.60, 0.55, 1.0), (0.55, 0.58, 0.60, 1.0))  # of lanes in turn, so that their borders are seen
@@ -143,10 +142,8 @@ def _add(
     for number, (begin, end, right, left, top) in enumerate(lane.boxes.tolist()):
         names.append(f"terrain_{index}_{number}")
         place = np.array([(begin + end) / 2, (right + left) / 2, (top + bottom) / 2 + height]) @ frame
-        half = [(end - begin) / 2, (left - right) / 2, (top - bottom) / 2]
-        spec.worldbody.add_geom(
-            name=names[-1], type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=place.tolist(), **alike
-        )
+        sides = [(end - begin) / 2, (left - right) / 2, (top - bottom) / 2]
+        spec.worldbody.add_geom(name=names[-1], type=mujoco.mjtGeom.mjGEOM_BOX, size=sides, pos=place.tolist(), **alike)
     return names
 
 
@@ -195,4 +192,3 @@ def _copy_numbers(flat: mujoco.MjModel, model: mujoco.MjModel, world: int, added
                 into[world + added :] = value[world:]
             elif into.shape == value.shape and not name.startswith("pair_"):
                 into[...] = value
-

@@ -289,12 +289,8 @@ def ground_table(report: Mapping[str, object]) -> list[str]:
     if not isinstance(rows, list) or not rows:
         return []
     lines = ["", f"{'ground':24}{'level':>6}{'episodes':>10}{'success':>9}{'falls':>7}{'distance, m':>13}"]
-    for row in rows:
-        lines.append(
-            f"{row['kind']:24}{row['level']:>6}{row['episodes']:>10}{row['success_rate']:>9.2f}"
-            f"{row['fall_rate']:>7.2f}{row['distance_mean']:>13.2f}"
-        )
-    return lines
+    form = "{kind:24}{level:>6}{episodes:>10}{success_rate:>9.2f}{fall_rate:>7.2f}{distance_mean:>13.2f}"
+    return lines + [form.format(**row) for row in rows]
 
 
 def _finite(value: object) -> object:

@@ -95,7 +95,7 @@ class NodeFeature(ABC):
         """Return the arrays that the feature needs from step to step, which are in ``Sensed.memory``."""
         return ()
 
-    def check(self, facts: RobotFacts) -> None:
+    def check(self, facts: RobotFacts) -> None:  # noqa: B027 - most fit any
         """Raise a :class:`.ConfigError` if the feature does not fit the robot or its ground."""
 
     def deviation(self) -> float:

@@ -48,7 +48,7 @@ class Ground:
         self.beside = "side" in robot.base.coordinates
         self._base = robot.base
         # What only starts depend on leaves the ground as it is.
-        made = robot.grounds
+        made: dict[str, tuple[RobotOnGround, np.ndarray, np.ndarray]] = robot.grounds
         key = repr(replace(settings, sideways=0.0, curriculum=True, climb=0.0, drop=0.0))
         if key not in made:
             made[key] = self._build(robot)
@@ -88,7 +88,7 @@ class Ground:
             if settings.used[name].stepped or np.ptp(values) == 0.0:
                 stepped[lane], heights[lane, :rows, :columns] = True, values[:rows, :columns]
                 boxes = merged_boxes(values[:rows, :columns], settings.cell, -settings.depth)
-                lanes.append(Lane(corner, settings.cell, boxes=boxes + [*corner[[0, 0, 1, 1]], 0.0]))
+                lanes.append(Lane(corner, settings.cell, boxes=boxes + np.array([*corner[[0, 0, 1, 1]], 0.0])))
             else:
                 # To the last bit as MuJoCo has them.
                 shares, lowest, span = normalized(values)
@@ -167,9 +167,7 @@ class Ground:
 
     # Measuring.
 
-    def relative(
-        self, place: dict[str, np.ndarray], spot: Mapping[str, np.ndarray] | None
-    ) -> dict[str, np.ndarray]:
+    def relative(self, place: dict[str, np.ndarray], spot: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray]:
         """Count the coordinates of the base from the start of the episode, and from the ground below.
 
         Args:
@@ -280,15 +278,12 @@ def merged_boxes(tops: np.ndarray, cell: float, bottom: float) -> np.ndarray:
             for begin, end in zip([0, *ends], [*ends, tops.shape[1]], strict=True):
                 if tops[row, begin] > bottom + _HAIR:
                     runs.add((int(begin), int(end), float(tops[row, begin])))
-        for run in [one for one in open_runs if one not in runs]:
-            boxes.append((open_runs.pop(run) * cell, row * cell, run[0] * cell, run[1] * cell, run[2]))
-        for run in runs:
-            open_runs.setdefault(run, row)
+        ended = {run: begin for run, begin in open_runs.items() if run not in runs}
+        boxes += [(begin * cell, row * cell, run[0] * cell, run[1] * cell, run[2]) for run, begin in ended.items()]
+        open_runs = {run: open_runs.get(run, row) for run in runs}
     return np.array(sorted(boxes)).reshape(-1, 5)
 
 
 def _integers(rng: Generator, below: int, count: int) -> np.ndarray:
     draw = rng.integers if isinstance(rng, np.random.Generator) else rng.randint
     return np.asarray(draw(0, below, count), dtype=np.int64)
-
-

@@ -33,8 +33,8 @@ from gctd3.tasks.sensor_noise import OWN_NOISE, SensorNoise
 from gctd3.tasks.task import Ability, TaskSettings
 from gctd3.tasks.term_checks import called, check_mapping, check_terms, reading, trying
 from gctd3.tasks.terminations import MOST_STEPS, STEPS, TimeLimit
-from gctd3.tasks.terrain import Terrain
 from gctd3.tasks.terms import Array, Command, Randomisation, RobotFacts, Step, Termination
+from gctd3.tasks.terrain import Terrain
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,8 @@ class SimulatedTask:
         check_kind("settings", settings, Composition)
         if not reward.terms:
             raise ConfigError("reward.terms must hold at least one term, got none.")
-        self.robot, self.reward, self.settings = robot, reward, settings
+        self.robot: Robot = robot
+        self.reward, self.settings = reward, settings
         self.control_dt, self.history = settings.control_dt, settings.history
         robot.check_walking()
         self.graph = graph if graph is not None else KinematicGraph.from_robot(robot)
@@ -135,11 +136,8 @@ class SimulatedTask:
         privileged = {n: f for n, f in settings.privileged.items() if f is not None}
         key = "task.privileged"
         self.privileged = FeatureTable(privileged, robot, self.graph, key) if privileged else None
-        for where, feature in [*_named(key, privileged), *_named("task.features", features)]:
-            try:
-                called(where, feature.check, self.facts)
-            except ConfigError as error:
-                raise ConfigError(f"{where}.{error}") from error
+        for name, one in {**_named("task.features", features), **_named(key, privileged)}.items():
+            self._check_feature(name, one)
         self.terminations = self._fitting("task.terminations", settings.terminations)
         commands = self._fitting("task.commands", settings.commands)
         self.commands = {n: called(f"task.commands.{n}", one.fitted, self.facts) for n, one in commands.items()}
@@ -147,8 +145,7 @@ class SimulatedTask:
         self.terms = self._reward_terms()
         ends = {f"task.terminations.{name}": term for name, term in self.terminations.items()}
         terms = {f"reward.terms.{name}": term for name, term in self.terms.items()}
-        sensed = {f"task.features.{name}": one for name, one in features.items()}
-        sensed |= {f"task.privileged.{name}": one for name, one in privileged.items()}
+        sensed = {**_named("task.features", features), **_named(key, privileged)}
         asked = settings.domain_randomisation
         servos = self.facts.servos.joints
         self.domain = None if asked is None else Domain(asked, robot, self.table, servos, self.control_dt)
@@ -174,6 +171,12 @@ class SimulatedTask:
         self.time_limit, self.endless = min(limits, default=MOST_STEPS), not limits
         self.num_counters = 0
         self._try()
+
+    def _check_feature(self, where: str, feature: NodeFeature) -> None:
+        try:
+            called(where, feature.check, self.facts)
+        except ConfigError as error:
+            raise ConfigError(f"{where}.{error}") from error
 
     def _fitting(self, where: str, terms: Mapping[str, Any]) -> dict[str, Any]:
         given = {name: term for name, term in terms.items() if term is not None}
@@ -469,5 +472,5 @@ class SimulatedTask:
         return type(self)(self.robot, self.reward, replace(self.settings, terminations=kept), self.graph)
 
 
-def _named(key: str, terms: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    return [(f"{key}.{name}", term) for name, term in terms.items()]
+def _named(key: str, terms: Mapping[str, Any]) -> dict[str, Any]:
+    return {f"{key}.{name}": term for name, term in terms.items()}

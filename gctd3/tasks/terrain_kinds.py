@@ -197,7 +197,7 @@ class Boxes(TerrainKind):
         area = ((self.sizes[0] + self.sizes[1]) / 2) ** 2
         count = round(self.share * (rows - first) * columns * plan.cell**2 / area)
         for _ in range(count):
-            long, wide = (plan.cells(float(size)) for size in rng.uniform(*self.sizes, 2))
+            long, wide = (plan.cells(float(size)) for size in rng.uniform(self.sizes[0], self.sizes[1], 2))
             row, column = int(rng.integers(first, rows)), int(rng.integers(1 - wide, columns))
             box = tops[row : row + long, max(column, 0) : column + wide]
             np.maximum(box, self.height * plan.difficulty * rng.uniform(0.5, 1.0), out=box)

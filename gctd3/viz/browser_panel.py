@@ -267,7 +267,7 @@ class Panel:
     def _mark(self, metre: int) -> tuple[viser.SceneNodeHandle, ...]:
         forward, side, up = self.live.robot.base.frame
         start = start_of(self.live.task, self.live.simulation.memory)
-        above = mark_height(self.live.task.ground, start + [metre, 0.0], MARK)
+        above = mark_height(self.live.task.ground, start + np.array([metre, 0.0]), MARK)
         place = self._origin + start @ self.live.robot.base.frame[:2] + metre * forward + (above + 2e-3) * up
         # Children of the ground's scene node, which moves when the camera follows.
         name, ends = f"/fixed_bodies/metre_{metre}", np.stack([place - 0.6 * side, place + 0.6 * side])

@@ -129,8 +129,8 @@ def draw(
             light_up(canvas.scene, data.subtree_com[robot.base.root])
             for metre in MARKS:
                 number = int(walk.position[step]) + metre
-                above = mark_height(walk.ground, walk.origin + [number, 0.0], MARK)
-                _mark(canvas.scene, robot, origin + [0.0, 0.0, above], number, words)
+                above = mark_height(walk.ground, walk.origin + np.array([number, 0.0]), MARK)
+                _mark(canvas.scene, robot, origin + np.array([0.0, 0.0, above]), number, words)
             if walk.rays is not None:
                 draw_rays(canvas.scene, walk.rays[step])
             frame = Image.fromarray(canvas.draw())
