@@ -86,14 +86,16 @@ class Ground:
             self._check_steps(robot, name, values)
             corner = self._corner(lane)
             if settings.used[name].stepped or np.ptp(values) == 0.0:
-                stepped[lane], heights[lane, :rows, :columns] = True, values[:rows, :columns]
-                boxes = merged_boxes(values[:rows, :columns], settings.cell, -settings.depth)
+                tops = values if settings.used[name].stepped else np.full((rows, columns), values[0, 0])
+                stepped[lane], heights[lane, :rows, :columns] = True, tops
+                boxes = merged_boxes(tops, settings.cell, -settings.depth)
                 lanes.append(Lane(corner, settings.cell, boxes=boxes + np.array([*corner[[0, 0, 1, 1]], 0.0])))
             else:
                 # To the last bit as MuJoCo has them.
                 shares, lowest, span = normalized(values)
-                heights[lane] = lowest + shares.astype(np.float64) * span
-                lanes.append(Lane(corner, settings.cell, heights=values))
+                made = lowest + shares.astype(np.float64) * span
+                heights[lane, : len(made), : made.shape[1]] = made
+                lanes.append(Lane(corner, settings.spacing(False), heights=values))
         count = sum(len(lane.boxes) for lane in lanes)
         if count > MOST_BOXES:
             raise ConfigError(
@@ -134,12 +136,13 @@ class Ground:
     def height(self, places: np.ndarray) -> np.ndarray:
         """Return the height of the ground at places ``[*, 2]``, as a ray from above finds it, shape ``[*]`` (m)."""
         lane, local, inside = self.lane_at(places)
-        at = local / self.settings.cell
-        rows, columns = self.settings.shape
-        row = np.minimum(at[..., 0].astype(np.int64), rows - 1)
-        column = np.minimum(at[..., 1].astype(np.int64), columns - 1)
-        near = self._heights[lane, row, column]
         steps = self._stepped[lane]
+        meshes = np.where(steps, 1, self.settings.mesh)
+        at = local / (self.settings.cell * meshes)[..., None]
+        rows, columns = self.settings.shape
+        row = np.minimum(at[..., 0].astype(np.int64), rows // meshes - 1)
+        column = np.minimum(at[..., 1].astype(np.int64), columns // meshes - 1)
+        near = self._heights[lane, row, column]
         if not steps.all():
             along, across = at[..., 0] - row, at[..., 1] - column
             far = self._heights[lane, row + 1, column + 1]

@@ -88,7 +88,9 @@ class Terrain:
         behind: Its length behind them (m).
         width: Its width (m).
         flat: Length of the flat ground in front of where robots start (m).
-        cell: Distance between heights (m): cells of boxes and of heightfields.
+        cell: Size of the cells of which boxes are made (m).
+        mesh: Cells between the vertices of heightfields. A foot on a finer one has more contacts, which cost most of
+            the time of a step.
         depth: Depth of pits, and of the floor around the lanes (m).
         sideways: Largest distance of starts from the middle of a lane (m); 0 where the base cannot move sideways.
         seed: Seed of the heights: equal seeds give equal ground.
@@ -105,6 +107,7 @@ class Terrain:
     width: float = 3.0
     flat: float = 1.0
     cell: float = 0.05
+    mesh: int = 2
     depth: float = 1.0
     sideways: float = 0.5
     seed: int = 0
@@ -122,7 +125,7 @@ class Terrain:
                 )
         if not self.used:
             raise ConfigError("kinds must hold at least one kind of ground, got none; terrain=null is the plane.")
-        check_between(self, 1, 1000, "levels", "length", "width")
+        check_between(self, 1, 1000, "levels", "length", "width", "mesh")
         check_between(self, 0, 1000, "behind", "flat", "sideways", "climb", "drop")
         for name in ("cell", "depth", "memory"):
             if not getattr(self, name) > 0:
@@ -132,11 +135,13 @@ class Terrain:
             raise ConfigError(f"flat must be below length, {self.length:g} m, got {self.flat:g}.")
         if self.sideways > self.width / 2:
             raise ConfigError(f"sideways must be at most half of width, {self.width / 2:g} m, got {self.sideways:g}.")
-        if self.cell > self.width / 2:
-            raise ConfigError(f"cell must be at most half of width, {self.width / 2:g} m, got {self.cell:g}.")
+        if self.cell * self.mesh > self.width / 2:
+            most = self.width / 2 / self.mesh
+            raise ConfigError(f"cell * mesh must be at most half of width: cell at most {most:g} m, got {self.cell:g}.")
         if self.drop > self.climb:
             raise ConfigError(f"drop must be at most climb, {self.climb:g} m, got {self.drop:g}.")
         rows, columns = self.shape
+        # Those of a heightfield are fewer, in an array of the same size.
         needed = BYTES * self.lanes * (rows + 1) * (columns + 1) / MEBIBYTE
         if needed > self.memory:
             finest = self.cell * (needed / self.memory) ** 0.5
@@ -157,8 +162,14 @@ class Terrain:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Return the number of cells of a lane, forward and to the left."""
-        return round((self.length + self.behind) / self.cell), round(self.width / self.cell)
+        """Return the number of cells of a lane, forward and to the left; whole meshes."""
+        sides, mesh = (self.length + self.behind, self.width), self.cell * self.mesh
+        along, across = (round(side / mesh) * self.mesh for side in sides)
+        return along, across
+
+    def spacing(self, stepped: bool) -> float:
+        """Return the distance between the heights of a kind with steps, or of a heightfield (m)."""
+        return self.cell if stepped else self.cell * self.mesh
 
     @property
     def start(self) -> np.ndarray:
@@ -166,18 +177,19 @@ class Terrain:
         return np.array([self.behind, self.shape[1] * self.cell / 2])
 
     def heights(self, name: str, level: int) -> np.ndarray:
-        """Return the heights of a lane: ``[rows, columns]`` of cells, one more each of vertices (m).
+        """Return the heights of a lane: one for each cell, or for each vertex of a heightfield (m).
 
         Raises:
             ConfigError: If the kind returns something else, or heights below the pits.
         """
-        kind, (rows, columns) = self.used[name], self.shape
-        number, middle = (0, 0.5) if kind.stepped else (1, 0.0)
-        along = (np.arange(rows + number) + middle) * self.cell - self.behind - self.flat
-        across = (np.arange(columns + number) + middle) * self.cell - columns * self.cell / 2
+        kind, shape = self.used[name], self.shape
+        more, middle, spacing = (0, 0.5, self.cell) if kind.stepped else (1, 0.0, self.cell * self.mesh)
+        rows, columns = (round(side * self.cell / spacing) + more for side in shape)
+        along = (np.arange(rows) + middle) * spacing - self.behind - self.flat
+        across = (np.arange(columns) + middle) * spacing - shape[1] * self.cell / 2
         # Of its own for each lane: other kinds, and more levels, leave a lane as it is but for its difficulty.
         rng = np.random.default_rng([self.seed, level, *name.encode()])
-        plan = Plan(along, across, self.cell, (level + 1) / self.levels, self.depth, rng)
+        plan = Plan(along, across, spacing, (level + 1) / self.levels, self.depth, rng)
         values = np.asarray(kind(plan), dtype=np.float64)
         if values.shape != plan.shape or not np.isfinite(values).all():
             raise ConfigError(

@@ -151,7 +151,8 @@ def test_a_ball_touches_where_the_height_says():
     """A heightfield's contacts are at its triangles, as rays and heights are: a small ball just below and above."""
     task = task_of(small(kinds={"rough": RoughGround(height=0.1)}, levels=1))
     ground, rng = task.ground, np.random.default_rng(0)
-    lane = Lane(ground._corners[0], 0.05, heights=ground._heights[0])
+    rows, columns = (side // 2 + 1 for side in ground.settings.shape)
+    lane = Lane(ground._corners[0], 0.1, heights=ground._heights[0, :rows, :columns])
     ball = mujoco.MjSpec.from_string(
         '<mujoco><worldbody><geom type="plane" size="0 0 1"/><body name="ball"><freejoint/>'
         '<geom size="1e-3"/><body pos="0 0 .1"><joint/><geom size="1e-3"/></body></body></worldbody></mujoco>'
@@ -362,11 +363,11 @@ class Wrong(TerrainKind):
             {"kinds": {"rough": RoughGround(height=0.2)}, "depth": 0.1},
             r"kinds\.rough has heights down to .*depth must be more",
         ),
-        ({"kinds": {"mine": Wrong()}}, r"kinds\.mine must return finite heights of shape \[141, 41\], got \[3\]"),
+        ({"kinds": {"mine": Wrong()}}, r"kinds\.mine must return finite heights of shape \[71, 21\], got \[3\]"),
         ({"kinds": {"rough": None}}, "kinds must hold at least one kind"),
         ({"kinds": {"rough": 3}}, r"kinds\.rough must be null or a mapping whose _target_ is a TerrainKind, got 3"),
         ({"cell": 0.001, "memory": 10.0}, r"cell must be at least about 0\.0\d+ m .* within memory=10 MiB, got 0.001"),
-        ({"cell": 2.0}, "cell must be at most half of width"),
+        ({"cell": 2.0}, r"cell \* mesh must be at most half of width: cell at most 0\.5 m, got 2"),
         ({"levels": 0}, "levels must be at least 1"),
         ({"sideways": 1.5}, "sideways must be at most half of width"),
         ({"flat": 7.0}, "flat must be below length"),
