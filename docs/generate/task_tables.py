@@ -23,7 +23,7 @@ from gctd3.tasks.height_scan import HeightScan
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.simulated_task import Composition, SimulatedTask
 from gctd3.tasks.terms import Command, Randomisation, RewardTerm, Termination
-from gctd3.tasks.terrain import TerrainKind
+from gctd3.tasks.terrain import Terrain, TerrainKind
 
 # Columns of the tables of presets: what is chosen on the command line, and what has to be said beside it.
 PRESETS = {
@@ -144,9 +144,19 @@ def terrain_kinds() -> Iterator[str]:
 
 def height_scan() -> Iterator[str]:
     """List the keys of the height scan."""
+    yield from _keys(HeightScan)
+
+
+def terrain_keys() -> Iterator[str]:
+    """List the keys of the terrain, but for its kinds."""
+    yield from _keys(Terrain, "kinds")
+
+
+def _keys(cls: type, *left_out: str) -> Iterator[str]:
     rows = [
-        (f"`{s.name}`", f"`{OmegaConf.create([s.default])[0]}`", in_markdown(s.meaning))
-        for s in settings_of(HeightScan)
+        (f"`{one.name}`", f"`{OmegaConf.create([one.default])[0]}`", in_markdown(one.meaning))
+        for one in settings_of(cls)
+        if one.name not in left_out
     ]
     yield from table(("key", "default", "meaning"), rows)
 
@@ -225,4 +235,5 @@ TABLES = {
     "starts": starts,
     "terrain-kinds": terrain_kinds,
     "height-scan": height_scan,
+    "terrain-keys": terrain_keys,
 }
