@@ -252,14 +252,14 @@ class Ground:
 
 
 def turned(points: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """Turn points ``[*, 2]`` to the left by angles ``[*]`` (rad)."""
+    """Transform points ``[*, 2]`` by turns to the left, of angles ``[*]`` (rad)."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     x, y = points[..., 0], points[..., 1]
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
 def merged_boxes(tops: np.ndarray, cell: float, bottom: float) -> np.ndarray:
-    """Cover cells by few boxes: runs of equal height in a row, joined with equal runs of the next rows.
+    """Find few boxes that cover cells: runs of equal height in a row, joined with equal runs of the next rows.
 
     Args:
         tops: Height of each cell, shape ``[rows, columns]`` (m); a cell at the bottom has no box.

@@ -13,7 +13,7 @@ from gctd3.tasks.terms import Array, RobotFacts, Step, Termination
 
 @dataclass(frozen=True)
 class TerrainEdge(Termination):
-    """Truncate an episode in which the robot is about to leave the terrain; the value is bootstrapped.
+    """End an episode in which the robot is about to leave the terrain by truncation; the value is bootstrapped.
 
     The borders between lanes are no edges. On a plane it is left out.
 

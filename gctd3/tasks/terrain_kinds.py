@@ -54,7 +54,7 @@ class RoughGround(TerrainKind):
 
 @dataclass(frozen=True)
 class Slopes(TerrainKind):
-    """Lead up a slope, over level ground, down again, and so on.
+    """Put slopes up and down one after another, with level ground between them.
 
     Attributes:
         degrees: Angle of the slopes (degrees).
@@ -80,7 +80,7 @@ class Slopes(TerrainKind):
 
 @dataclass(frozen=True)
 class Stairs(TerrainKind):
-    """Lead up a flight of stairs, over a landing, down again, and so on.
+    """Put flights of stairs up and down one after another, with landings between them.
 
     Attributes:
         rise: Height of a step (m).
