@@ -1,6 +1,9 @@
 """Say in a page what came of a test run: when, of which commit, where, how many tests, and why some were skipped.
 
-python .ci/summary.py RESULTS.xml SECONDS
+python .ci/summary.py RESULTS.xml SECONDS [COMMAND [INSTALLED ...]]
+
+COMMAND is the test run's, ``bash .ci/nightly`` by default. INSTALLED are words of reasons for which no test may have
+been skipped, since what they ask for is installed; the exit code is 1 if one was.
 """
 
 from __future__ import annotations
@@ -20,7 +23,14 @@ def commit() -> str:
     return subprocess.run(describe, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
 
 
-def summary(results: str, seconds: int) -> str:
+def still_skipped(results: str, installed: list[str]) -> list[str]:
+    """The reasons of skipped tests that hold one of the words."""
+    cases = ElementTree.parse(results).getroot().iter("skipped")
+    reasons = {case.get("message", "") for case in cases}
+    return sorted(reason for reason in reasons if any(word in reason for word in installed))
+
+
+def summary(results: str, seconds: int, command: str = "bash .ci/nightly") -> str:
     """The page, from pytest's JUnit file."""
     cases = list(ElementTree.parse(results).getroot().iter("testcase"))
     outcomes: dict[str, list[str]] = {"failed": [], "skipped": []}
@@ -35,7 +45,7 @@ def summary(results: str, seconds: int) -> str:
             reasons[skipped.get("message", "")] += 1
     failed, left = len(outcomes["failed"]), len(outcomes["skipped"])
     lines = [
-        "bash .ci/nightly",
+        command,
         f"date:    {datetime.now(timezone.utc):%Y-%m-%d %H:%M} UTC",
         f"commit:  {commit()}",
         f"machine: {os.cpu_count()} CPU cores, {platform.machine()}, Python {platform.python_version()}",
@@ -50,4 +60,8 @@ def summary(results: str, seconds: int) -> str:
 
 
 if __name__ == "__main__":
-    print(summary(sys.argv[1], int(sys.argv[2])))
+    print(summary(sys.argv[1], int(sys.argv[2]), *sys.argv[3:4]))
+    left = still_skipped(sys.argv[1], sys.argv[4:])
+    for why in left:
+        print(f"skipped, though it is installed: {why}", file=sys.stderr)
+    raise SystemExit(1 if left else 0)

@@ -50,8 +50,10 @@ GROUPS = {
     "replay": ["gctd3/data/replay.py", "gctd3/data/frame_buffer.py"],
     "mirror": [
         "gctd3/tasks/reflection.py",
-        "gctd3/robots/mirror_pairs.py",
-        "gctd3/robots/mirror_check.py",
+        "gctd3/robots/mirror_*.py",
+        "gctd3/robots/model_reflection.py",
+        "gctd3/robots/foot_outlines.py",
+        "gctd3/robots/random_states.py",
         "gctd3/data/mirror_augmentation.py",
     ],
     "losses": ["gctd3/objectives/*.py", *(f"gctd3/algorithms/{name}.py" for name in ("td3", "sac", "ddpg"))],

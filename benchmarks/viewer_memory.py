@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 from common import options, report
+from websockets.exceptions import ConnectionClosed
 
 # The tests' client speaks the page's protocol; a second one would only be a copy.
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
@@ -44,11 +45,7 @@ def disturb(clients: list[Client], port: int, turn: int) -> None:
 
 
 def watch(viewer: Viewer, count: int, minutes: float) -> list[Sample]:
-    """Attend a viewer with so many clients for so long, and note its memory.
-
-    Raises:
-        SystemExit: If it ends by itself.
-    """
+    """Attend a viewer with so many clients for so long, and note its memory."""
     clients = [Client(viewer.port).ready() for _ in range(count)]
     samples: list[Sample] = []
     began = time.monotonic()
@@ -56,9 +53,6 @@ def watch(viewer: Viewer, count: int, minutes: float) -> list[Sample]:
         now = (time.monotonic() - began) / 60
         if now >= minutes:
             return samples
-        if viewer.process.poll() is not None:
-            said = viewer.process.communicate()[0]
-            raise SystemExit(f"{said}\nthe viewer ended with {viewer.process.returncode}")
         disturb(clients, viewer.port, turn)
         clients[(turn + 1) % count].goes_on()
         samples.append((round(now, 2), clients[(turn + 1) % count].time, viewer.memory() / 1e6))
@@ -69,8 +63,14 @@ def watch(viewer: Viewer, count: int, minutes: float) -> list[Sample]:
 def main() -> None:
     """Attend, watch, report."""
     own = options(**OWN)
-    with Viewer(*([f"run={own['run']}"] if own["run"] else [])) as viewer:
-        samples = watch(viewer, int(own["clients"]), float(own["minutes"]))
+    viewer = Viewer(*([f"run={own['run']}"] if own["run"] else []))
+    try:
+        with viewer:
+            samples = watch(viewer, int(own["clients"]), float(own["minutes"]))
+    except (AssertionError, ConnectionClosed) as error:
+        raise SystemExit(
+            f"the viewer fell silent, and ended with {viewer.process.returncode}:\n{viewer.output}"
+        ) from error
     tenth = len(samples) // 10
     if not tenth:
         raise SystemExit(f"only {len(samples)} samples, of at least 10: watch longer")

@@ -9,6 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
+import os
+import sys
+import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -17,6 +21,7 @@ from gctd3.errors import GCTD3Error
 TORCH, TENSORDICT, TORCHRL = "torch 2.13.0", "tensordict 0.14.3", "torchrl 0.14.1"
 OMEGACONF, HYDRA = "omegaconf 2.3.1", "hydra-core 1.3.8"
 VISER = "viser 1.1.1"
+_DYNAMO = "torch._dynamo"
 
 
 class CompatError(GCTD3Error, RuntimeError):
@@ -62,6 +67,117 @@ def has_hooks(module: Any) -> bool:  # noqa: ANN401 - a torch.nn.Module
     """
     names = "_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks"
     return any(read(module, name, TORCH) for name in names)
+
+
+class _Later(types.ModuleType):
+    """Stand in for ``torch._dynamo`` until something needs more of it than to mark functions for it."""
+
+    def __init__(self) -> None:
+        super().__init__(_DYNAMO)
+        self.marks: list[tuple[str, Any]] = []
+
+    def allow_in_graph(self, function: Any) -> Any:  # noqa: ANN401 - PyTorch's
+        self.marks.append(("allow_in_graph", function))
+        return function
+
+    def assume_constant_result(self, function: Any) -> Any:  # noqa: ANN401 - PyTorch's
+        self.marks.append(("assume_constant_result", function))
+        return function
+
+    def disable(self, fn: Any = None, recursive: bool = True, **_: object) -> Any:  # noqa: ANN401 - PyTorch's
+        # Nothing is compiled, or the module would be here.
+        return (lambda function: function) if fn is None else fn
+
+    def graph_break(self, *_: object, **__: object) -> None:
+        """Do nothing, as the module's own outside of what it compiles."""
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        if name in ("__spec__", "__file__", "__warningregistry__"):
+            raise AttributeError(name)
+        return getattr(self.load(), name)
+
+    def load(self) -> types.ModuleType:
+        """Import the module itself, with the marks that were made, in place of this one."""
+        if sys.modules.get(_DYNAMO) is self:
+            del sys.modules[_DYNAMO]
+            module = importlib.import_module(_DYNAMO)
+            for mark, function in self.marks:
+                getattr(module, mark)(function)
+        return sys.modules[_DYNAMO]
+
+
+def postpone_compiler() -> None:
+    """Let TensorDict and TorchRL be imported without PyTorch's compiler, a second and 60 MB that trainings do not need.
+
+    Both mark functions for it while they are imported. The marks are kept, and the compiler is imported as soon as
+    anything else of it is asked for.
+
+    Private: the package ``torch._dynamo`` (torch 2.13.0), whose ``allow_in_graph`` and ``assume_constant_result``
+    return the functions that they mark.
+    """
+    if _DYNAMO not in sys.modules:
+        sys.modules[_DYNAMO] = _Later()
+
+
+def import_compiler() -> None:
+    """Import PyTorch's compiler if :func:`postpone_compiler` postponed it."""
+    later = sys.modules.get(_DYNAMO)
+    if isinstance(later, _Later):
+        later.load()
+
+
+# MuJoCo
+
+
+@contextlib.contextmanager
+def without_screen() -> Iterator[None]:
+    """Let MuJoCo be imported in the block without GLFW, whose search for its library takes up to half a second.
+
+    Only ``mujoco.Renderer`` needs it, which gctd3 does not use. All names are public; that MuJoCo imports GLFW unless
+    ``MUJOCO_GL`` says otherwise is not documented (mujoco 3.17.0).
+    """
+    before = os.environ.get("MUJOCO_GL")
+    os.environ["MUJOCO_GL"] = "disable"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["MUJOCO_GL"]
+        else:
+            os.environ["MUJOCO_GL"] = before
+
+
+# TensorDict
+
+
+class PlainOutputs:
+    """Let a TensorDictModule write tensors as they are; stands before it among the bases of a class.
+
+    TensorDict would see whether each is a table of pandas, and import that, which takes half a second and 45 MB.
+
+    Private: ``TensorDictModuleBase._write_to_tensordict`` (tensordict 0.14.3).
+
+    Raises:
+        CompatError: If a class is made of a module without it: outputs would be written in the old way.
+    """
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:  # noqa: ANN401
+        super().__init_subclass__(**kwargs)
+        _need_behind(cls, PlainOutputs, "_write_to_tensordict", TENSORDICT)
+
+    def _write_to_tensordict(
+        self,
+        tensordict: Any,  # noqa: ANN401
+        tensors: Any,  # noqa: ANN401
+        tensordict_out: Any = None,  # noqa: ANN401
+        out_keys: Any = None,  # noqa: ANN401
+    ) -> Any:  # noqa: ANN401
+        keys = self.out_keys if out_keys is None else out_keys  # type: ignore[attr-defined]
+        if tensordict_out is not None or self.inplace is not True or len(keys) != len(tensors):  # type: ignore[attr-defined]
+            return super()._write_to_tensordict(tensordict, tensors, tensordict_out, out_keys)  # type: ignore[misc]
+        for key, tensor in zip(keys, tensors, strict=True):
+            tensordict.set(key, tensor)
+        return tensordict
 
 
 # TorchRL's losses
@@ -298,6 +414,39 @@ def control_of(server: Any, uuid: str) -> object:  # noqa: ANN401 - a viser.Vise
     controls: Mapping[str, object] = read(server.gui, "_gui_input_handle_from_uuid", VISER)
     keys: Mapping[str, object] = read(server.gui, "_command_handle_from_uuid", VISER)
     return controls.get(uuid) or keys.get(uuid)
+
+
+def wake_by_the_loop() -> None:
+    """Have the clients of viser servers woken by the thread of the server's event loop alone; again changes nothing.
+
+    viser sets its ``asyncio.Event`` twice, first in the thread that changes the page and then in the loop. That class
+    is not for several threads: while a client comes or goes the first may raise a RuntimeError, and end the program.
+
+    Private: ``viser.infra._async_message_buffer.AsyncMessageBuffer`` and its ``message_event`` (viser 1.1.1).
+    """
+    import asyncio
+    from importlib import import_module
+
+    class LoopEvent(asyncio.Event):
+        def set(self) -> None:
+            try:
+                asyncio.get_running_loop()
+            except RuntimeError:  # another thread: viser asks the loop to set it next
+                return
+            super().set()
+
+    buffer = read(import_module("viser.infra._async_message_buffer"), "AsyncMessageBuffer", VISER)
+    make = buffer.__init__
+    if hasattr(make, "__wrapped__"):
+        return
+
+    @functools.wraps(make)
+    def made(self: Any, *arguments: Any, **named: Any) -> None:  # noqa: ANN401 - viser's
+        make(self, *arguments, **named)
+        read(self, "message_event", VISER)
+        self.message_event = LoopEvent()
+
+    buffer.__init__ = made
 
 
 @contextlib.contextmanager

@@ -56,6 +56,10 @@ class WorkerError(GCTD3Error, RuntimeError):
     """Report that workers which collect transitions cannot be started or do not keep running."""
 
 
+class MiddlewareError(GCTD3Error, RuntimeError):
+    """Report that ROS is missing, its master or the other node cannot be reached, or a node has fallen silent."""
+
+
 class RenderError(GCTD3Error, RuntimeError):
     """Report that images or videos cannot be rendered."""
 

@@ -22,13 +22,17 @@ def _task(config: DictConfig) -> None:
     folder, refused = of_run.where_to_write(settings)
     if refused is not None:
         print(refused, file=sys.stderr, flush=True)
-    report, motion = of_run.measure_run(settings)
-    print(of_run.table(report), flush=True)
+    measured = of_run.measure_run(settings)
+    print(of_run.table(measured.report), flush=True)
     # After the table, so that a disk that is full by now does not cost it.
-    of_run.write_evaluation(folder, report, motion)
+    of_run.write_evaluation(folder, measured)
+    if settings.bag is not None and measured.typical is not None:
+        from gctd3.bridge.bags import write_walk
+
+        print(write_walk(settings.bag, measured.typical, measured.robot, measured.control_dt), flush=True)
     written = [of_run.EVALUATION, of_run.TRACE]
     if settings.robustness:
-        gait = report["gait"]
+        gait = measured.report["gait"]
         results = of_run.examine_run(settings, gait.get("stride_time") if isinstance(gait, dict) else None)
         print(f"\n{robustness.table(results)}", flush=True)
         of_run.write_robustness(folder, results)

@@ -37,7 +37,7 @@ def title(place: str) -> str:
     return Path(place.rpartition(":")[2]).stem
 
 
-def shown(path: object) -> str:
+def quoted(path: object) -> str:
     """Return a path, or an argument with one, such that it can be pasted into a shell."""
     return shlex.quote(str(path))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from gctd3.config.help import helped
-from gctd3.files import shown
+from gctd3.files import quoted
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -15,7 +15,7 @@ def _task(config: DictConfig) -> None:
     from gctd3.config.build import build
     from gctd3.runs.draw import render_run
 
-    print(f"Written to {shown(render_run(build(config)))}")
+    print(f"Written to {quoted(render_run(build(config)))}")
 
 
 def main() -> None:

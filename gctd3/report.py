@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from gctd3.config.help import helped
-from gctd3.files import shown
+from gctd3.files import quoted
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -20,7 +20,7 @@ def _task(config: DictConfig) -> None:
     settings: ReportSettings = build(config)
     file = report(settings)
     print((file.parent / VERDICT).read_text(encoding="utf-8"))
-    print(f"Written to {shown(file)}")
+    print(f"Written to {quoted(file)}")
 
 
 def main() -> None:

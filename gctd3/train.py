@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import sys
 from pathlib import Path
 
@@ -15,9 +16,22 @@ def main() -> None:
     """Run ``python -m gctd3.train``."""
     if helped("config"):
         return
+    # Imports and configurations make a million objects that stay: to look for garbage among them takes half a second.
+    gc.disable()
+    try:
+        _main()
+    finally:
+        gc.enable()
+
+
+def _main() -> None:
     # Late, as everything that takes long: --help answers at once.
+    from gctd3.compat import without_screen
     from gctd3.config.command_line import command
     from gctd3.config.paths import plain, quoted
+
+    with without_screen():
+        import mujoco  # noqa: F401 - first here
     from gctd3.training.saved_configuration import CONFIG, HARMLESS, choices
     from gctd3.training.session import train
     from gctd3.training.sweep import end

@@ -90,6 +90,21 @@ def exported(shared_folder):
 
 
 @pytest.fixture(scope="session")
+def exported_velocity(shared_folder, finished):
+    """Return the ONNX file of a policy of task=velocity, which walks nowhere, to be read only."""
+    pytest.importorskip("onnxscript")
+    pytest.importorskip("onnxruntime")
+    from finished import once
+    from running import command
+
+    def export(folder):
+        out = folder / "policy.onnx"
+        assert command("export", f"run={finished['velocity']}", f"out={out}", "episodes=2", "threads=1") == 0
+
+    return once(shared_folder / "exported_velocity", export) / "policy.onnx"
+
+
+@pytest.fixture(scope="session")
 def site(shared_folder):
     """Return the folder of the documentation site, built without a warning."""
     from built_site import built_site

@@ -107,6 +107,30 @@ def _minutes(data: dict[str, Any], one: dict[str, Any], side: str) -> str:
     return f"{statistics.median(run['minutes'] for run in runs):.0f}"
 
 
+def crosscheck() -> Iterator[str]:
+    """Compare walks in other engines with MuJoCo's."""
+    rows = []
+    for row in load("crosscheck")["rows"]:
+        one, other = row["mujoco"], row[row["engine"]]
+        title = {"dart": "DART", "bullet": "Bullet"}[row["engine"]] + ("" if row["armature"] else ", no armature")
+        flight = row["flight_difference_rad"]
+        parted = row["partings"]
+        rows.append(
+            (
+                row["robot"],
+                title,
+                f"{round(other['finishes'] * other['starts'])}/{other['starts']}",
+                f"{one['speed_m_s']:.2f}",
+                f"{other['speed_m_s']:.2f}",
+                other["not_sane"],
+                "explodes" if flight is None else f"{flight:.3f}",
+                "passed" if row["passed"] else f"failed: {max(parted, key=parted.get)}",
+            )
+        )
+    heads = ("robot", "engine", "finishes", "MuJoCo m/s", "m/s", "beyond bounds", "free flight, rad", "verdict")
+    yield from table(heads, sorted(rows))
+
+
 def provenance() -> Iterator[str]:
     """List the files of results: the command, the commit and the machine of each."""
     rows = []
@@ -125,5 +149,6 @@ TABLES = {
     "other-robots": other_robots,
     "time-to-gait": time_to_gait,
     "yardsticks": yardsticks,
+    "crosscheck": crosscheck,
     "provenance": provenance,
 }

@@ -1,12 +1,16 @@
-"""Table of the robots that people own."""
+"""Tables of the robots that people own: where their files are, and how those that were trained walk."""
 
 from __future__ import annotations
 
 import re
+import statistics
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import yaml
 from markdown_table import table
+from result_tables import load
 
 from gctd3.config.help import conf
 from gctd3.config.presets import read
@@ -24,4 +28,47 @@ def owned_robots() -> Iterator[str]:
     yield from table(("`robot=`", "Robot", "Packages, in the order of their use"), rows)
 
 
-TABLES = {"owned-robots": owned_robots}
+PICTURES = Path(__file__).parents[1] / "robots"
+
+
+def trained_robots() -> Iterator[str]:
+    """List the trainings of robots that people own, a row a robot: medians over its seeds, and their range."""
+    found = load("robots_train")["rows"]
+    rows = []
+    for robot in dict.fromkeys(row["robot"] for row in found):
+        trained = [row for row in found if row["robot"] == robot]
+        done = [row for row in trained if "failed" not in row]
+        full = [row for row in done if row["finishes"] == row["episodes"]]
+        picture = f"![{robot} walking](robots/{robot}.png)" if (PICTURES / f"{robot}.png").is_file() else ""
+        source = (
+            f"{done[0]['package']} {done[0]['version']}, {done[0]['licence'] or 'no licence stated'}" if done else ""
+        )
+        cells = [f"`{robot}`", picture, f"{len(full)} of {len(trained)}"]
+        cells += [_middle(done, "seconds", "{:.0f}"), _middle(done, "frames", "{:,.0f}")]
+        cells += [_middle(done, "speed_m_s", "{:.2f}"), _middle(done, "stride_hz", "{:.1f}")]
+        cells += [_middle(done, "periodic_share", "{:.0%}"), _middle(done, "slip_m_s", "{:.2f}")]
+        cells += [_middle(done, "height_from_home", "{:+.0%}"), _middle(done, "saturation_percent", "{:.0f} %"), source]
+        rows.append(cells)
+    heads = (
+        "`robot=`",
+        "a frame every 0.1 s",
+        "seeds with 50 of 50",
+        "seconds",
+        "frames",
+        "m/s",
+        "stride, Hz",
+        "periodic",
+    )
+    yield from table((*heads, "slip, m/s", "height from home", "saturated", "file"), rows)
+
+
+def _middle(rows: list[dict[str, Any]], key: str, form: str) -> str:
+    """Return the median of a number, and its range where there are several."""
+    values = sorted(row[key] for row in rows if row[key] is not None)
+    if not values:
+        return "-"
+    middle, low, high = (form.format(value) for value in (statistics.median(values), values[0], values[-1]))
+    return middle if low == high else f"{middle} ({low} to {high})"
+
+
+TABLES = {"owned-robots": owned_robots, "trained-robots": trained_robots}

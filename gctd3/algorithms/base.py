@@ -16,6 +16,7 @@ from torchrl.objectives import LossModule
 
 from gctd3.algorithms.adam import Adam
 from gctd3.algorithms.imitation import Imitation
+from gctd3.compat import import_compiler
 from gctd3.nn.factories import make_actor, make_critic, make_stochastic_actor
 from gctd3.nn.settings import NetworkSettings, Scale
 from gctd3.robots.graph import KinematicGraph
@@ -100,6 +101,7 @@ class Algorithm(ABC):
         """Compute the update of :meth:`update`; ``updates`` already includes it."""
 
     def _compile(self) -> None:
+        import_compiler()
         cuda = next(self.loss.parameters()).is_cuda
         for name in self.LOSSES:
             compiled = torch.compile(getattr(self.loss, name), mode="reduce-overhead" if cuda else "default")

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from string import Template
 from types import ModuleType
 from typing import Any, NoReturn
 
@@ -27,9 +28,11 @@ HELP = ("--help", "-h")
 USAGE_ERROR = 2
 UNREAD = 141  # exit code that shells report for a program whose output nobody reads
 # In the order in which one meets them.
-COMMANDS = ("view", "render", "train", "evaluate", "report", "graph", "export")
+COMMANDS = ("view", "render", "train", "evaluate", "report", "graph", "export", "crosscheck", "ros")
 _ROOTS = {"train": "config"}  # YAMLs that are not called as their command is
 _CHOICE = re.compile(r" +- (?P<group>\w+)(?:@(?P<place>[\w.]+))?: (?P<option>\w+)(?: +# *(?P<comment>.*))?$")
+# Of groups whose option follows from those of others.
+_FOLLOWING = re.compile(r" +- optional (?P<group>\w+): (?P<option>[\w${}]+)(?: +# *(?P<comment>.*))?$")
 _NARROW, _WIDE = 60, 112  # columns
 GROUPED = 10_000  # from where on digits of a number are grouped
 
@@ -172,9 +175,24 @@ class _Unloaded(ModuleType):
 
 
 def keys(command: str) -> Iterator[Key]:
-    """List the keys of a command's settings, except those of its groups."""
+    """List the keys of a command's settings, except those of its groups, as the default options leave them."""
     plain = yaml.safe_load(_text(command))
+    chosen = {choice.name: choice.value for choice in choices(command)}
+    for match in filter(None, map(_FOLLOWING.match, _text(command).splitlines())):
+        file = conf().joinpath(match["group"], f"{Template(match['option']).safe_substitute(chosen)}.yaml")
+        if file.is_file():
+            _merge(plain, yaml.safe_load(file.read_text(encoding="utf-8")))
     return _keys(plain, {choice.name.rpartition("@")[2] for choice in choices(command)}, "")
+
+
+def _merge(into: dict[str, Any], more: Mapping[str, Any]) -> None:
+    """Set what ``more`` gives, mappings key by key."""
+    for key, value in more.items():
+        old = into.get(key)
+        if isinstance(value, Mapping) and isinstance(old, dict):
+            _merge(old, value)
+        else:
+            into[key] = value
 
 
 def _keys(given: Mapping[str, Any], taken: Collection[str], prefix: str) -> Iterator[Key]:
@@ -207,14 +225,19 @@ def written(value: object) -> str:
 def choices(command: str) -> Iterator[Key]:
     """List the groups of a command's YAML, with their default and options."""
     for line in _text(command).splitlines():
-        match = _CHOICE.match(line)
+        match = _CHOICE.match(line) or _FOLLOWING.match(line)
         if match is None:
             continue
         files = conf().joinpath(match["group"]).iterdir()
-        options = ", ".join(sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml")))
-        name = match["group"] + (f"@{match['place']}" if match["place"] else "")
+        options = sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml"))
+        # What follows from other options is a choice of its own where it can be left out.
+        if match.re is _FOLLOWING and "none" not in options:
+            continue
+        place = match.groupdict().get("place")
+        name = match["group"] + (f"@{place}" if place else "")
         comment = match["comment"]
-        yield Key(name, match["option"], f"{comment[0].upper()}{comment[1:]}: {options}" if comment else options)
+        listed = ", ".join(options)
+        yield Key(name, match["option"], f"{comment[0].upper()}{comment[1:]}: {listed}" if comment else listed)
 
 
 def _text(command: str) -> str:

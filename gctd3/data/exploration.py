@@ -131,8 +131,8 @@ class Rhythm(torch.nn.Module):
 class Explorer(TensorDictModuleBase):
     """Act as the collecting policy: warm-up first, then the actor with noise.
 
-    It reads what the actor reads and ``"is_init"``, and ``"position"`` if gaits evolve in the warm-up; it writes
-    ``"action"`` ``[robots, A]``.
+    It reads what the actor reads and ``"is_init"``, and, if gaits evolve in the warm-up, ``"position"`` or
+    ``"episode_reward"``, by which it judges them; it writes ``"action"`` ``[robots, A]``.
 
     Args:
         actor: The policy under training.
@@ -167,8 +167,9 @@ class Explorer(TensorDictModuleBase):
         self.num_robots = num_robots
         robots = len(range(num_robots)[part])
         stepping = settings.warmup == "stepping"
-        self._places = stepping or settings.mutation_share > 0
-        self.in_keys = [*actor.in_keys, "is_init", *(["position"] if self._places else [])]
+        # What tells how good a gait is, if gaits evolve.
+        self._judged_by = "episode_reward" if stepping else "position" if settings.mutation_share > 0 else None
+        self.in_keys = [*actor.in_keys, "is_init", *([self._judged_by] if self._judged_by else [])]
         self.out_keys = ["action"]
         self.actor = actor
         self.settings = settings
@@ -222,8 +223,8 @@ class Explorer(TensorDictModuleBase):
 
     def _warmup(self, tensordict: TensorDictBase) -> Tensor:
         if self.rhythm is not None:
-            position = tensordict.get("position").reshape(-1) if self._places else None
-            return self.rhythm(tensordict.get("is_init").reshape(-1), position)
+            reached = tensordict.get(self._judged_by).reshape(-1) if self._judged_by else None
+            return self.rhythm(tensordict.get("is_init").reshape(-1), reached)
         if (int(self.frames) // self.num_robots) % self.settings.hold == 0:
             self.held.uniform_(-1.0, 1.0)
         return self.held.clone()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
@@ -69,8 +70,8 @@ class FrameBuffer:
             )
         try:
             for key, values in step.items():
-                self._ring[key] = torch.zeros((self.rows, *values.shape), dtype=values.dtype, device=self.device)
-        except RuntimeError as error:
+                self._ring[key] = _zeros((self.rows, *values.shape), values.dtype, self.device)
+        except (RuntimeError, MemoryError) as error:
             raise MemoryError(f"replay.buffer_size={self.capacity}") from error
         self._ring["last"] = torch.full((self.rows, self.robots), -1, dtype=torch.int32, device=self.device)
         self._flat = {key: values.flatten(0, 1) for key, values in self._ring.items()}
@@ -275,8 +276,8 @@ class FrameBuffer:
                 raise ValueError(f"Row {covered} of the replay is missing; the next part has {start} to {stop}.")
             if not self._ring:
                 for key, values in part.items():
-                    fill = -1 if key == "last" else 0
-                    self._ring[key] = values.new_full((self.rows, *values.shape[1:]), fill, device=self.device)
+                    self._ring[key] = _zeros((self.rows, *values.shape[1:]), values.dtype, self.device)
+                self._ring["last"].fill_(-1)
             index = torch.arange(covered, stop) % self.rows
             for key, values in part.items():
                 self._ring[key][index] = values[covered - start :].to(self.device)
@@ -284,3 +285,10 @@ class FrameBuffer:
         if covered != self.total:
             raise ValueError(f"Rows {covered} to {self.total} of the replay are missing.")
         self._flat = {key: values.flatten(0, 1) for key, values in self._ring.items()}
+
+
+def _zeros(shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Return zeros that take up a CPU's memory only once they are written to; PyTorch's are written at once."""
+    if device.type != "cpu":
+        return torch.zeros(shape, dtype=dtype, device=device)
+    return torch.from_numpy(np.zeros(shape, torch.zeros((), dtype=dtype).numpy().dtype))

@@ -20,13 +20,15 @@ class Stepping(torch.nn.Module):
     """Generate open-loop gaits in which every foot moves to and fro and is lifted on its way forwards.
 
     The path of a foot about its place in the standing pose becomes joint angles by the pseudo-inverse of its leg's
-    Jacobian. Left and right feet step half a period apart; the phases of the pairs, frequency, length and height of
-    the steps, a shift of each pair of feet, a crouch and a sway are drawn, and evolve: each robot tries a gait for a
-    while, remembers its best one, and most new gaits are mutations of what a few robots remember. Some trials, and all
-    in the last round, are of a remembered gait, which then counts by the mean. The fitness of a gait
-    is the distance that it covers while it is tried, as far as a brisk walk would get, less a penalty if the robot
-    falls. Lengths are in leg lengths and frequencies in those of a pendulum as long as the leg, so that the same
-    numbers serve robots of all sizes.
+    Jacobian, less the arc that it would go along. On the ground a foot moves as the ground does below a body of
+    constant speed, and it touches down and lifts off at that speed, so that it need not slide. Left and right feet
+    step half a period apart; the phases of the pairs, frequency, length and height of the steps, a shift of each pair
+    of feet, a crouch and a sway are drawn, and evolve: each robot tries a gait for a while, remembers its best one,
+    and most new gaits are mutations of what a few robots remember. Some trials are of a remembered gait, which then
+    counts by the mean, and in the last round all robots try the fittest few. The fitness of a gait is the mean reward
+    of the training while it is tried, less a penalty if the robot falls: what feet that slide or a body that sags cost
+    a policy, they cost a gait. Lengths are in leg lengths and frequencies in those of a pendulum as long as the leg, so
+    that the same numbers serve robots of all sizes.
 
     Args:
         robot: The robot.
@@ -45,6 +47,7 @@ class Stepping(torch.nn.Module):
     pair_of: Tensor
     lagging: Tensor
     joints: Tensor
+    arc: Tensor
     fitness: Tensor
     cycles: Tensor
     start: Tensor
@@ -52,14 +55,19 @@ class Stepping(torch.nn.Module):
     age: Tensor
     again: Tensor
     taken: Tensor
+    final: Tensor
+    finalist: Tensor
 
     # Lowest and highest value of each gene, and whether each pair of feet has its own.
     GENES: dict[str, tuple[float, float, bool]] = {  # noqa: RUF012 - a constant
         "frequency": (1.0, 3.2, False),  # of a pendulum as long as the leg
         "stride": (0.05, 0.45, False),  # half of a foot's way to and fro, leg lengths
-        "lift": (0.05, 0.4, False),  # leg lengths
-        "lag": (-0.1, 0.1, False),  # of the lift, periods
-        "crouch": (0.0, 0.15, False),  # leg lengths
+        "lift": (0.05, 0.5, False),  # leg lengths
+        "duty": (0.5, 0.75, False),  # share of a period in which a foot goes backwards
+        "softness": (1.0, 2.0, False),  # of lifting off and touching down: power of the sine of the height
+        "lead": (-0.05, 0.15, False),  # of the way, since servos take their time; periods
+        "lag": (-0.1, 0.1, False),  # of the lift, periods; below 0 it is later
+        "crouch": (-0.2, 0.1, False),  # leg lengths; below 0 legs stretch against what they carry
         "sway": (-0.1, 0.1, False),  # of the body to the side, leg lengths
         "sway_phase": (0.0, 1.0, False),  # periods
         "shift": (-0.15, 0.15, True),  # of a pair of feet forwards, leg lengths
@@ -68,10 +76,10 @@ class Stepping(torch.nn.Module):
     CYCLIC = ("phase", "sway_phase")
     MUTATION = 0.08  # standard deviation, of a gene's range
     RIVALS = 8  # robots of whom the fittest one is the parent
-    FALL = 0.5  # leg lengths by which a fall lowers the fitness, for each second of a trial
-    FROUDE = 0.3  # of a speed beyond which a gait is not fitter: v^2 / (g L)
+    FALL = 1.0  # by which a fall lowers the fitness: about what a brisk walk is worth (reward of a control step)
     AGAIN = 0.05  # share of trials in which a robot tries its remembered gait again; luck does not stay
-    LAST_ROUND = 0.2  # share of the warm-up, at its end, in which robots try what they remember and nothing else
+    LAST_ROUND = 0.3  # share of the warm-up, at its end, in which all robots try the fittest few gaits
+    FINALISTS = 8  # of these gaits; the fittest one by the mean over its robots wins
     NOISE = 0.1  # standard deviation of what is added to the actions
     DAMPING = 0.05  # of the pseudo-inverse, leg lengths
 
@@ -90,13 +98,12 @@ class Stepping(torch.nn.Module):
         self._dt, self._share = control_dt, mutation_share
         self._steps = max(round(trial / control_dt), 1)
         self._last_round = math.inf if steps is None else (1.0 - self.LAST_ROUND) * steps
-        self._penalty = self.FALL * self._length * trial
-        self._enough = math.sqrt(self.FROUDE * GRAVITY * self._length) * trial
         self._pendulum = math.sqrt(GRAVITY / self._length) / (2 * math.pi)
         group, lag = _groups(robot)
         self.register_buffer("pair_of", group, persistent=False)
         self.register_buffer("lagging", lag, persistent=False)
         self.register_buffer("joints", _joint_paths(robot, self.DAMPING * self._length), persistent=False)
+        self.register_buffer("arc", _arcs(robot, self.joints), persistent=False)
         self.groups = int(group.max()) + 1
         self._fixed: dict[str, Tensor] = {}
         if gait is not None:
@@ -114,6 +121,8 @@ class Stepping(torch.nn.Module):
         self.register_buffer("last", torch.zeros(num_robots))
         self.register_buffer("taken", torch.zeros((), dtype=torch.int64))
         self.register_buffer("again", torch.zeros(num_robots, dtype=torch.bool))
+        self.register_buffer("final", torch.zeros((), dtype=torch.bool))
+        self.register_buffer("finalist", torch.full((num_robots,), -1, dtype=torch.int64))
         # No trial has begun.
         self.register_buffer("age", torch.full((num_robots,), -1, dtype=torch.int64))
 
@@ -142,14 +151,14 @@ class Stepping(torch.nn.Module):
     def _end(self, ended: Tensor, fell: Tensor) -> None:
         """Remember the gaits of the trials that have ended if they are fitter, and begin new ones."""
         tried = ended & (self.age > 0)
-        fitness = (self.last - self.start).clamp(max=self._enough) - self._penalty * fell
+        fitness = (self.last - self.start) / self._steps - self.FALL * fell
         # Of a gait that was tried again the mean counts, in which the last trials weigh most.
         again = tried & self.again
         self.fitness.copy_(torch.where(again, 0.5 * (self.fitness + fitness), self.fitness))
         fitter = tried & ~again & (fitness > self.fitness)
         self.fitness.copy_(torch.where(fitter, fitness, self.fitness))
         children = self._children(len(ended))
-        share = 1.0 if int(self.taken) >= self._last_round else self.AGAIN
+        share = 1.0 if self.final else self.AGAIN
         repeats = (torch.rand(len(ended)) < share) & self.fitness.isfinite()
         self.again.copy_(torch.where(ended, repeats, self.again))
         for name, (_, _, paired) in self.GENES.items():
@@ -158,21 +167,37 @@ class Stepping(torch.nn.Module):
             next_one = torch.where(repeats[:, None] if paired else repeats, best, children[name])
             now.copy_(torch.where(ended[:, None] if paired else ended, next_one, now))
 
-    def forward(self, is_init: Tensor, position: Tensor) -> Tensor:
+    def _begin_last_round(self) -> None:
+        """Let the robots remember the fittest few gaits, in turn, and nothing else."""
+        self.final.fill_(True)
+        first = self.fitness.argsort(descending=True)[: self.FINALISTS]
+        first = first[self.fitness[first].isfinite()]
+        chosen = first[torch.arange(len(self.fitness)) % len(first)]
+        self.finalist.copy_(chosen)
+        for name in ("fitness", *(f"best_{name}" for name in self.GENES)):
+            values = getattr(self, name)
+            values.copy_(values[chosen].clone())
+
+    def forward(self, is_init: Tensor, returned: Tensor) -> Tensor:
         """Return the actions ``[robots, A]`` of the next step.
 
         Args:
             is_init: Robots whose episode begins, bool ``[robots]``.
-            position: Distance walked, ``[robots]`` (m).
+            returned: Sum of the episode's rewards so far, ``[robots]``.
         """
         ended = is_init | (self.age >= self._steps) | (self.age < 0)
+        if not self.final and int(self.taken) >= self._last_round and self.tried:
+            self._begin_last_round()
+            # Trials that have not ended are given up.
+            ended = torch.ones_like(ended)
+            self.age.fill_(0)
         if ended.any():
-            self.last.copy_(torch.where(is_init, self.last, position))
+            self.last.copy_(torch.where(is_init, self.last, returned))
             self._end(ended, is_init)
-            self.start.copy_(torch.where(ended, position, self.start))
+            self.start.copy_(torch.where(ended, returned, self.start))
             self.age.copy_(torch.where(ended, 0, self.age))
             self.cycles.copy_(torch.where(is_init, 0.0, self.cycles))
-        self.last.copy_(position)
+        self.last.copy_(returned)
         self.age += 1
         self.taken += 1
         self.cycles += self._dt * self._pendulum * self.frequency
@@ -182,9 +207,10 @@ class Stepping(torch.nn.Module):
     def _act(self, genes: dict[str, Tensor], cycles: Tensor) -> Tensor:
         turn = 2 * math.pi
         phase = cycles[:, None] + genes["phase"][:, self.pair_of] + self.lagging
-        forward = genes["shift"][:, self.pair_of] - genes["stride"][:, None] * torch.cos(turn * phase)
-        lift = torch.sin(turn * (phase + genes["lag"][:, None])).clamp(min=0.0)
-        up = genes["crouch"][:, None] + genes["lift"][:, None] * lift
+        lead, lag, duty, softness = (genes[name][:, None] for name in ("lead", "lag", "duty", "softness"))
+        way, lift = foot_way(phase + lead, duty), foot_height(phase + lag, softness)
+        forward = genes["shift"][:, self.pair_of] + genes["stride"][:, None] * way
+        up = genes["crouch"][:, None] + genes["lift"][:, None] * lift - self.arc * forward.square()
         sway = genes["sway"] * torch.sin(turn * (cycles + genes["sway_phase"]))
         side = sway[:, None].expand_as(up)
         return torch.einsum("nfd,fda->na", self._length * torch.stack([forward, side, up], dim=-1), self.joints)
@@ -192,6 +218,9 @@ class Stepping(torch.nn.Module):
     def _fittest(self, count: int) -> dict[str, Tensor]:
         """Return the genes of the fittest gait, ``count`` times."""
         best = int(self.fitness.argmax())
+        if self.final:
+            means = [self.fitness[self.finalist == one].mean() for one in self.finalist]
+            best = int(torch.stack(means).argmax())
         genes = {name: getattr(self, f"best_{name}")[best] for name in self.GENES}
         return {name: value.expand(count, *value.shape) for name, value in genes.items()}
 
@@ -241,6 +270,39 @@ class OpenLoop(TensorDictModuleBase):
         return tensordict.set("action", action.expand(*tensordict.batch_size, -1).clone())
 
 
+def foot_way(phase: Tensor, duty: Tensor) -> Tensor:
+    """Return how far a foot is forwards in a stride, from -1 to 1.
+
+    On the ground it moves backwards at a constant speed, as the ground does below a body of constant speed. In the air
+    it moves forwards with the least jerk (Flash & Hogan 1985) beside that speed, so that it neither jerks nor slides
+    when it lifts off and touches down.
+
+    Args:
+        phase: Phase of the foot, ``[*]`` (periods); the middle of its swing is at a quarter.
+        duty: Share of a period in which it goes backwards, ``[*]``.
+
+    Returns:
+        Places in halves of its way, ``[*]``, which it overshoots by up to 0.2 in the air.
+    """
+    swing = ((phase + 0.25) % 1.0 - 0.5) / (1.0 - duty) + 0.5
+    stance = ((phase - 0.25) % 1.0 - 0.5) / duty + 0.5
+    back = 2.0 * (1.0 - duty) / duty  # of the ground, while the foot swings
+    air = (2.0 + back) * swing**3 * ((6.0 * swing - 15.0) * swing + 10.0) - back * swing - 1.0
+    return torch.where((swing > 0.0) & (swing < 1.0), air, 1.0 - 2.0 * stance)
+
+
+def foot_height(phase: Tensor, softness: Tensor) -> Tensor:
+    """Return how high a foot is in a stride, from 0 to 1: a power of a sine in the first half of its period.
+
+    That is longer than it goes forwards, so that a leg that its load has bent is unloaded before, and loaded after.
+
+    Args:
+        phase: Phase of the foot, ``[*]`` (periods).
+        softness: The power, ``[*]``; it touches down at a speed of 0 if above 1.
+    """
+    return torch.sin(2 * math.pi * phase).clamp(min=0.0) ** softness
+
+
 def _groups(robot: Robot) -> tuple[Tensor, Tensor]:
     """Return the number of each foot's pair, and the phase by which the second foot of a pair lags, each ``[feet]``."""
     group, lag, count = [-1] * len(robot.feet), [0.0] * len(robot.feet), 0
@@ -274,3 +336,25 @@ def _joint_paths(robot: Robot, damping: float) -> Tensor:
             "exploration.warmup must not be stepping: no foot of the robot has a driven joint of its own."
         )
     return torch.from_numpy(paths).float()
+
+
+def _arcs(robot: Robot, paths: Tensor) -> Tensor:
+    """Return by how much each foot rises on its way forwards and backwards, ``[feet]``: ``arc * way^2``, leg lengths.
+
+    Joint angles that are proportional to the way of a foot let it go along an arc. It is measured at 0.3 leg lengths.
+    """
+    model, data = robot.model, mujoco.MjData(robot.model)
+    scale, address = robot.action_map[1], [robot.joint(name).qpos for name in robot.actuated]
+    far, length = 0.3, robot.leg_length
+
+    def place(foot: int, way: float) -> np.ndarray:
+        data.qpos[:] = robot.standing_qpos
+        data.qpos[address] += way * length * paths[foot, 0].numpy() * scale
+        mujoco.mj_kinematics(model, data)
+        return robot.base.frame @ robot.foot_place(data, robot.feet[foot])
+
+    rises = []
+    for foot in range(len(robot.feet)):
+        back, middle, front = (place(foot, way) for way in (-far, 0.0, far))
+        rises.append(((front + back) / 2 - middle)[2] / (far**2 * length))
+    return torch.tensor(rises, dtype=torch.float32)

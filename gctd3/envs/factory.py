@@ -12,6 +12,7 @@ from torchrl.envs import (
     DoubleToFloat,
     EnvBase,
     InitTracker,
+    RewardSum,
     StepCounter,
     Transform,
     TransformedEnv,
@@ -34,7 +35,7 @@ Made = tuple[EnvBase, list[Transform]]
 
 
 def _batched(task: Any, settings: EnvSettings, seed: int) -> Made:  # noqa: ANN401 - each backend takes its own tasks
-    return BatchedEnv(Simulation(task, settings.num_envs, seed, settings.threads)), []
+    return BatchedEnv(Simulation(task, settings.num_envs, seed, settings.threads)), [RewardSum()]
 
 
 def _dm_control(task: Any, settings: EnvSettings, seed: int) -> Made:  # noqa: ANN401
@@ -44,7 +45,7 @@ def _dm_control(task: Any, settings: EnvSettings, seed: int) -> Made:  # noqa: A
         return dmc.torchrl_env(task, seed + index)
 
     robots = SerialRobots(settings.num_envs, [lambda i=i: make(i) for i in range(settings.num_envs)])
-    return robots, [DoubleToFloat(), InitTracker(), StepCounter()]
+    return robots, [DoubleToFloat(), InitTracker(), StepCounter(), RewardSum()]
 
 
 def _library(task: Any, settings: EnvSettings, seed: int) -> Made:  # noqa: ANN401
@@ -63,7 +64,8 @@ def build_env(task: Task, settings: EnvSettings, seed: int) -> EnvBase:
 
     Returns:
         An environment of batch size ``[num_envs]`` that writes ``nodes [N, F * history]`` (oldest frame first),
-        ``counters``, ``position`` (m), ``success``, ``diverged``, ``is_init`` and ``step_count``.
+        ``counters``, ``position`` (m), ``success``, ``diverged``, ``is_init`` and ``step_count``, and for robots that
+        gctd3 steps itself ``episode_reward``, the sum of the episode's rewards so far.
 
     Raises:
         ConfigError: If the task does not run on the backend, or a setting does not fit its robot.

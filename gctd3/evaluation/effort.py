@@ -67,16 +67,6 @@ def slip_speed(speed: np.ndarray, contact: np.ndarray) -> float:
     return float(speed[1:-1][inside].mean()) if inside.any() else float("nan")
 
 
-def saturation(force: np.ndarray, limit: np.ndarray) -> float:
-    """Return the share of samples at which an actuator is at its force limit, over all actuators (%).
-
-    Args:
-        force: Force of each actuator, shape ``[*, A]`` (N m).
-        limit: Largest magnitude of the force, shape ``[A]`` (N m); infinite for an actuator without a limit.
-    """
-    return float((np.abs(force) >= limit * (1.0 - 1e-9)).mean() * 100.0)
-
-
 def action_rate(action: np.ndarray, dt: float) -> float:
     """Compute the RMS of the first difference of actions ``[T, A]`` over ``dt`` (1/s; actions have no unit)."""
     return _rms_difference(action, dt, 1)

@@ -53,6 +53,7 @@ QUANTITIES = (
     Quantity("double_support_fraction", "double support", "", 2, "share of time with more than one foot down"),
     Quantity("foot_clearance", "foot clearance", "m", 3, "sole above the ground in the middle of a swing"),
     Quantity("slip_speed", "slip", "m/s", 3, "mean speed over the ground of soles that are down"),
+    Quantity("height_from_home", "height from standing", "", 3, "of the body on average, over its height standing"),
     Quantity("height_rms", "height RMS", "m", 3, "of the body's height about its mean"),
     Quantity("froude", "Froude number", "", 2, "v² / (g L), L the hip's height when standing"),
     Quantity("cost_of_transport", "cost of transport", "", 2, "Σ|τω|Δt / (m g d), braking costs as driving does"),

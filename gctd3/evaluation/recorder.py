@@ -9,7 +9,7 @@ import numpy as np
 
 from gctd3.envs.simulation import Simulation
 from gctd3.evaluation.effort import mechanical_work
-from gctd3.robots.geometry import geom_points
+from gctd3.robots.geometry import geom_points, lowest_point
 from gctd3.robots.mjcf import colliding_geoms
 from gctd3.robots.robot import Robot
 from gctd3.tasks.ground import Ground
@@ -50,7 +50,8 @@ class Servos:
     """Compute the forces of a robot's position servos as MuJoCo does: ``clip(g u + b0 + b1 l + b2 v)``.
 
     ``u`` is the desired angle, ``l`` and ``v`` are length and velocity of the actuator: gear times joint angle (rad)
-    and joint velocity (rad/s).
+    and joint velocity (rad/s). The force is clipped to the servo's own range and to that of its joint over the gear,
+    so that it is what the joint gets.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -58,8 +59,12 @@ class Servos:
         self.qpos, self.qvel = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
         self.gear, self.gain = model.actuator_gear[:, 0], model.actuator_gainprm[:, 0]
         self.bias = model.actuator_biasprm[:, :3].T
-        limited = model.actuator_forcelimited.astype(bool)
-        self.limit = np.where(limited, np.abs(model.actuator_forcerange).max(axis=1), np.inf)
+        limited, free = model.actuator_forcelimited.astype(bool)[:, None], np.array([-np.inf, np.inf])
+        own = np.where(limited, model.actuator_forcerange, free)
+        at_joint = np.where(model.jnt_actfrclimited[joints].astype(bool)[:, None], model.jnt_actfrcrange[joints], free)
+        with np.errstate(divide="ignore", invalid="ignore"):  # a gear of 0 drives nothing, and is limited by nothing
+            of_joint = np.where(self.gear[:, None] == 0.0, free, np.sort(at_joint / self.gear[:, None], axis=1))
+        self.low, self.high = np.maximum(own[:, 0], of_joint[:, 0]), np.minimum(own[:, 1], of_joint[:, 1])
         # A servo that filters its input has the filter's state in place of the input.
         self.filtered = model.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE
         self.act = np.where(self.filtered, model.actuator_actadr + model.actuator_actnum - 1, 0)
@@ -69,7 +74,13 @@ class Servos:
         b0, b1, b2 = self.bias
         length, velocity = qpos[..., self.qpos] * self.gear, qvel[..., self.qvel] * self.gear
         wanted = self.gain * control + b0 + b1 * length + b2 * velocity
-        return np.asarray(np.clip(wanted, -self.limit, self.limit))
+        return np.asarray(np.clip(wanted, self.low, self.high))
+
+    def saturated(self, force: np.ndarray) -> np.ndarray:
+        """Tell which servo forces ``[*, A]`` (N m) are at their limits."""
+        close = 1.0 - 1e-9
+        low = np.where(self.low < 0.0, self.low * close, self.low)
+        return np.asarray((force <= low) | (force >= np.where(self.high > 0.0, self.high * close, self.high)))
 
 
 class Recorder:
@@ -101,7 +112,7 @@ class Recorder:
         speed = (qvel[:, :-1, servos.qvel] + qvel[:, 1:, servos.qvel]) / 2 * servos.gear
         dt = model.opt.timestep
         work = np.array([mechanical_work(f, w, dt) for f, w in zip(force, speed, strict=True)])
-        saturated = (np.abs(begin) >= servos.limit * (1.0 - 1e-9)).mean(axis=1)
+        saturated = servos.saturated(begin).mean(axis=1)
         self._rows.append((action.copy(), qpos[:, -1].copy(), qvel[:, -1].copy(), work, saturated))
 
     def motions(self, steps: list[int]) -> list[Motion]:
@@ -172,6 +183,15 @@ def soles(robot: Robot, qpos: np.ndarray, dt: float, terrain: Ground | None = No
     if len(qpos) > 1:
         speed[-1] = speed[-2]  # the last sample has no successor
     return height, speed
+
+
+def standing_height(robot: Robot) -> float:
+    """Return the height of the body's origin above the lowest point of the feet in the standing pose (m)."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    data.qpos[:] = robot.standing_qpos
+    mujoco.mj_kinematics(model, data)
+    geoms = [geom for foot in robot.foot_bodies for geom in colliding_geoms(model, foot)]
+    return float(data.xpos[robot.base.root, 2]) - lowest_point(model, data, geoms)
 
 
 def total_mass(robot: Robot) -> float:

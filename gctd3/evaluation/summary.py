@@ -12,7 +12,7 @@ import numpy as np
 from gctd3.evaluation import effort, gait_metrics
 from gctd3.evaluation.episode import Episode
 from gctd3.evaluation.quantities import ASYMMETRY
-from gctd3.evaluation.recorder import Motion, total_mass
+from gctd3.evaluation.recorder import Motion, standing_height, total_mass
 from gctd3.robots.robot import Robot
 
 # Metrics that only a gait with strides has; `null` for other gaits.
@@ -83,12 +83,13 @@ class Gait:
         foot = self.strides[0]
         return self.motion.state[np.append(foot[:, 0], foot[-1:, 1])]
 
-    def of_time(self, mass: float, leg: float) -> dict[str, float]:
+    def of_time(self, mass: float, leg: float, standing: float) -> dict[str, float]:
         """Compute the metrics that are defined for every motion, periodic or not.
 
         Args:
             mass: Mass of the robot (kg).
             leg: Leg length of the robot (m).
+            standing: Height of the robot's body above the ground when it stands (m).
         """
         part, episode, begin = self.motion.since(self.begin), self.episode, self.begin
         distance = float(episode.position[-1] - episode.position[begin])
@@ -106,6 +107,7 @@ class Gait:
             "cost_of_transport_positive": effort.cost_of_transport(positive, mass, distance, gravity),
             "torque_saturation": float(part.saturated.mean() * 100.0),
             "slip_speed": _mean(slips),
+            "height_from_home": float(episode.height[begin:].mean()) / standing,
             "action_rate": effort.action_rate(part.action, self.dt),
             "action_jerk": effort.action_jerk(part.action, self.dt),
             "action_smoothness": effort.action_smoothness(part.action, self.dt),
@@ -164,10 +166,10 @@ def summarize(episodes: Sequence[Episode], robot: Robot, dt: float) -> dict[str,
     gaits = [Gait(e, e.motion, robot, dt) for e in far if e.motion is not None]
     if not gaits:
         return {}
-    mass, leg = total_mass(robot), robot.leg_length
+    body = total_mass(robot), robot.leg_length, standing_height(robot)
     periodic = [gait for gait in gaits if gait.periodic]
     means: dict[str, float | None] = {
-        **_averages([gait.of_time(mass, leg) for gait in gaits]),
+        **_averages([gait.of_time(*body) for gait in gaits]),
         "periodic_fraction": len(periodic) / len(gaits),
         "strides": 0.0,
     }

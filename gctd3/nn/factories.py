@@ -12,6 +12,7 @@ from torchrl.modules import ProbabilisticActor, TanhNormal
 from gctd3.errors import ConfigError
 from gctd3.nn.actor import ACTION, NODES, ClippedExp
 from gctd3.nn.critic import PRIVILEGED, VALUE
+from gctd3.nn.plain_module import PlainModule
 from gctd3.nn.settings import Network, NetworkSettings, Scale
 from gctd3.robots.graph import KinematicGraph
 from gctd3.tasks.reflection import Reflection
@@ -44,7 +45,7 @@ def make_actor(
         torch.Size([4, 6])
     """
     module = (network or Network()).actor(graph, in_features, action_dim, 1, True, reflection)
-    return TensorDictModule(module, in_keys=[NODES], out_keys=[ACTION])
+    return PlainModule(module, in_keys=[NODES], out_keys=[ACTION])
 
 
 def make_stochastic_actor(
@@ -78,7 +79,7 @@ def make_stochastic_actor(
         raise ConfigError(f"scale must be one of {', '.join(get_args(Scale))}, got {scale!r}.")
     module = (network or Network()).actor(graph, in_features, action_dim, 2, False, reflection)
     extract = ClippedExp() if scale == "exp" else NormalParamExtractor()
-    parameters = TensorDictModule(nn.Sequential(module, extract), in_keys=[NODES], out_keys=["loc", "scale"])
+    parameters = PlainModule(nn.Sequential(module, extract), in_keys=[NODES], out_keys=["loc", "scale"])
     return ProbabilisticActor(
         module=parameters,
         spec=Bounded(low=-1.0, high=1.0, shape=(action_dim,)),
@@ -113,4 +114,4 @@ def make_critic(
     """
     module = (network or Network()).critic(graph, in_features, action_dim, privileged_dim, reflection)
     extra = [PRIVILEGED] if privileged_dim else []
-    return TensorDictModule(module, in_keys=[NODES, ACTION, *extra], out_keys=[VALUE])
+    return PlainModule(module, in_keys=[NODES, ACTION, *extra], out_keys=[VALUE])

@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TypeVar
 
-from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
 from gctd3.compat import has_hooks
+from gctd3.nn.plain_module import PLAIN
 
 T = TypeVar("T", bound=type[nn.Module])
 
@@ -54,7 +55,7 @@ def obstacles(network: TensorDictModuleBase, outside: tuple[str, ...] = ()) -> l
         network: The network, in a TensorDictModule.
         outside: Keys that other networks write; a stack reads its inputs from the batch.
     """
-    if type(network) is not TensorDictModule:
+    if type(network) not in PLAIN:
         return [f"{_name(network)} around the network is not a plain TensorDictModule"]
     if len(network.out_keys) != 1:
         return [f"the network writes {len(network.out_keys)} keys"]

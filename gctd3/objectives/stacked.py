@@ -16,6 +16,7 @@ from gctd3 import compat
 from gctd3.errors import PerformanceWarning
 from gctd3.nn import kernels
 from gctd3.nn.kernels import lerp_all
+from gctd3.nn.plain_module import PLAIN
 from gctd3.nn.stacking import obstacles
 
 
@@ -109,7 +110,7 @@ def output(
         replaced: Inputs to take instead of the ones in ``inputs``, by their keys.
     """
     replaced = replaced or {}
-    if type(network) is TensorDictModule and network.out_keys == [key]:
+    if type(network) in PLAIN and network.out_keys == [key]:
         given = [replaced[k] if k in replaced else inputs.get(k) for k in network.in_keys]
         return network.module(*given)
     return network(inputs.copy().update(replaced)).get(key)

@@ -54,3 +54,9 @@ def find_feet(model: mujoco.MjModel, root: int, file: Path) -> list[str]:
     height = float(data.xpos[bodies_below(model, root), 2].max()) - float(lowest.min())
     touching = lowest <= lowest.min() + _TOUCHING * max(height, 0.0)
     return [body_name(model, body) for body, touches in zip(leaves, touching, strict=True) if touches]
+
+
+def foot_place(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> np.ndarray:
+    """Return the mean place of the colliding geoms of a foot, or the body's own, shape ``[3]`` (m, in the world)."""
+    geoms = colliding_geoms(model, body)
+    return np.asarray(data.geom_xpos[geoms].mean(axis=0) if geoms else data.xpos[body])

@@ -29,7 +29,8 @@ class GaitPattern:
 def alternating_phases(robot: Robot) -> np.ndarray:
     """Return phases at which left and right feet, and the feet of neighbouring pairs of legs, take turns.
 
-    That is a walk of two legs, the trot of four and the tripod gait of six (Alexander 1984).
+    That is a walk of two legs, the trot of four and the tripod gait of six (Alexander 1984). An episode begins in the
+    middle of swings, when each foot passes its place in the standing pose.
 
     Returns:
         Phases of the feet in [0, 1), shape ``[feet]`` (periods).
@@ -44,7 +45,7 @@ def alternating_phases(robot: Robot) -> np.ndarray:
         # To the left is positive.
         from_left = sorted(pair, key=lambda foot: -places[foot, 1])
         for turn, foot in enumerate(from_left):
-            phases[foot] = 0.5 * ((row + turn) % 2)
+            phases[foot] = 0.25 + 0.5 * ((row + turn) % 2)
     return phases
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
 
+from gctd3.robots.geometry import geom_points
 from gctd3.robots.mjcf import bodies_below, body_name, colliding_geoms
 
 _FOUND = 1  # bit of "found", the first number that a contact sensor can report
@@ -118,6 +119,24 @@ def contact_sensors(model: mujoco.MjModel, root: int) -> dict[str, int]:
     return sensors
 
 
+def velocity_sensors(model: mujoco.MjModel) -> dict[str, int]:
+    """Return the index in ``sensordata`` of the x component of the sensed velocity of each body in the world.
+
+    It is that of a site of the body, or else of the body itself.
+    """
+    sensors = dict[str, int]()
+    for i in range(model.nsensor):
+        moves = model.sensor_type[i] == mujoco.mjtSensor.mjSENS_FRAMELINVEL
+        kind, index = int(model.sensor_objtype[i]), int(model.sensor_objid[i])
+        if not moves or model.sensor_reftype[i] != mujoco.mjtObj.mjOBJ_UNKNOWN:
+            continue
+        if kind == mujoco.mjtObj.mjOBJ_SITE:
+            sensors[body_name(model, int(model.site_bodyid[index]))] = int(model.sensor_adr[i])
+        elif kind in (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_XBODY):
+            sensors.setdefault(body_name(model, index), int(model.sensor_adr[i]))
+    return sensors
+
+
 def _body_of(model: mujoco.MjModel, kind: int, index: int) -> int:
     """Return the body whose contacts one side of a contact sensor counts, -1 if it is not all contacts of one body."""
     objects = mujoco.mjtObj
@@ -224,7 +243,33 @@ def add_contact_sensors(spec: mujoco.MjSpec, bodies: Sequence[str], floor: str) 
         )
 
 
-def add_velocity_sensors(spec: mujoco.MjSpec, bodies: Sequence[str]) -> None:
-    """Add a sensor of the velocity in the world (m/s) for each body."""
-    for body in bodies:
-        spec.add_sensor(type=mujoco.mjtSensor.mjSENS_FRAMELINVEL, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body)
+def add_velocity_sensors(spec: mujoco.MjSpec, soles: Mapping[str, np.ndarray]) -> None:
+    """Add a sensor of the velocity in the world (m/s) for a point of each body, at a site of its own.
+
+    Args:
+        spec: The robot, whose bodies have names.
+        soles: The point by the name of the body, in the body's frame (m).
+    """
+    taken = {site.name for site in spec.sites}
+    for body, place in soles.items():
+        name = f"{body}_sole"
+        while name in taken:
+            name += "_"
+        spec.body(body).add_site(name=name, pos=place)
+        spec.add_sensor(type=mujoco.mjtSensor.mjSENS_FRAMELINVEL, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=name)
+
+
+def lowest_of_body(model: mujoco.MjModel, qpos: np.ndarray, body: int) -> np.ndarray:
+    """Return the place of the lowest point of a body's colliding geoms in a pose, in the body's frame (m).
+
+    The mean of the points that are lowest, within a thousandth of a metre; the body's origin if it has none.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    clouds = [geom_points(model, data, geom) for geom in colliding_geoms(model, body)]
+    points = np.concatenate([*clouds, np.zeros((0, 3))])
+    if not len(points):
+        return np.zeros(3)
+    lowest = points[points[:, 2] < points[:, 2].min() + 1e-3].mean(axis=0)
+    return np.asarray((lowest - data.xpos[body]) @ data.xmat[body].reshape(3, 3))

@@ -16,11 +16,12 @@ import numpy as np
 from gctd3.errors import RobotError, one_line
 from gctd3.robots.action_scale import find_action_scale
 from gctd3.robots.blueprint import Blueprint
-from gctd3.robots.completion import FALLS, complete
-from gctd3.robots.home_pose import holds
+from gctd3.robots.completion import complete
+from gctd3.robots.held_pose import holds
 from gctd3.robots.portable import Written
 from gctd3.robots.robot import Robot
 from gctd3.robots.sources import Source, find_source
+from gctd3.robots.stand_trial import FALLS
 from gctd3.robots.standing_command import find_standing_command
 from gctd3.robots.urdf import is_urdf, read_urdf
 

@@ -52,6 +52,11 @@ class Joint:
     kind: Kind = "hinge"
     id: int = -1
 
+    @property
+    def dofs(self) -> list[int]:
+        """Return the indices in ``qvel`` of its degrees of freedom."""
+        return [self.qvel + k for k in range({"free": 6, "ball": 3}.get(self.kind, 1))]
+
 
 def find_mjcf(path: str | Path) -> Path:
     """Find the MJCF file of a robot given by path or by the name of one that ships with the library.

@@ -18,29 +18,26 @@ import numpy as np
 from gctd3.errors import RobotError
 from gctd3.robots.actuators import check_servos
 from gctd3.robots.blueprint import Blueprint
-from gctd3.robots.feet import find_feet, named_feet
+from gctd3.robots.feet import find_feet, foot_place, named_feet
 from gctd3.robots.floating_base import AXES, Axis, Base, find_forward
-from gctd3.robots.geometry import lowest_point
-from gctd3.robots.ground import contact_sensors
-from gctd3.robots.mirror_pairs import Pairs, Plane, pair_joints, reflected_sign, swap_side, zero_pose
+from gctd3.robots.ground import contact_sensors, velocity_sensors
+from gctd3.robots.legs import find_hips, find_legs, measure_leg_length
+from gctd3.robots.mirror_pairs import Plane
 from gctd3.robots.mjcf import (
     Joint,
     body_name,
-    colliding_geoms,
     load_mjcf,
     read_actuated,
     read_joints,
     root_body,
-    standing_pose,
 )
+from gctd3.robots.robot_mirror import RobotMirror
 from gctd3.robots.standing_pose import check_standing, find_standing, find_start
 
 if TYPE_CHECKING:
     from gctd3.robots.mirror_check import MirrorCheck
     from gctd3.robots.portable import Written
     from gctd3.robots.sources import Source
-
-_LATERAL = 0.7  # least component across the body of the axis of a hip that swings the leg forwards
 
 
 @dataclass(frozen=True)
@@ -267,53 +264,17 @@ class Robot:
     @cached_property
     def legs(self) -> tuple[tuple[Joint, ...], ...]:
         """Return for each foot the joints from the root down to it."""
-        chains = []
-        for foot in self.feet:
-            chain: list[Joint] = []
-            last = [j for j in self.joints if j.body == foot] or self._joints_above(foot)
-            name: str | None = last[-1].name if last else None
-            while name is not None:
-                chain.append(self.joint(name))
-                name = chain[-1].parent
-            chains.append(tuple(reversed(chain)))
-        return tuple(chains)
+        return find_legs(self.model, self.joints, self.foot_bodies)
 
     @cached_property
     def hips(self) -> tuple[Joint, ...]:
-        """Return for each foot the hip: the first joint of its own leg that swings the foot forwards and backwards.
-
-        A joint swings the foot forwards if that is the largest part of the foot's motion, as the robot stands: neither
-        abduction nor yaw does so, nor does a waist, which other legs share. A leg without such a joint has its
-        first own joint for a hip.
-        """
-        data = mujoco.MjData(self.model)
-        data.qpos[:] = self.standing_qpos
-        mujoco.mj_kinematics(self.model, data)
-        hips, frame = [], self.base.frame
-        for i, (foot, leg) in enumerate(zip(self.feet, self.legs, strict=True)):
-            shared = {joint.name for k, other in enumerate(self.legs) if k != i for joint in other}
-            own = [joint for joint in leg if joint.name not in shared] or list(leg)
-            place = self.foot_place(data, foot)
-
-            def swings(joint: Joint, place: np.ndarray = place) -> bool:
-                axis = data.xaxis[joint.id]
-                motion = np.cross(axis, place - data.xanchor[joint.id]) if joint.kind == "hinge" else axis
-                along = np.abs(frame @ motion)
-                # Of an axis across the body the foot moves in the sagittal plane, and under the hip mostly forwards.
-                lateral = joint.kind != "hinge" or abs(float(frame[1] @ axis)) > _LATERAL
-                return bool(lateral and along[0] > along[1])
-
-            hips.append(next((joint for joint in own if swings(joint)), own[0]) if own else None)
-        return tuple(hip for hip in hips if hip is not None)
+        """Return for each foot the hip, see :func:`.find_hips`."""
+        return find_hips(self.model, self.standing_qpos, self.base.frame, self.legs, self.foot_bodies)
 
     @cached_property
     def leg_length(self) -> float:
         """Return the height of the hips above the ground when standing, the mean over legs (m)."""
-        model, data = self.model, mujoco.MjData(self.model)
-        data.qpos[:] = self.standing_qpos
-        mujoco.mj_kinematics(model, data)
-        geoms = [geom for foot in self.feet for geom in colliding_geoms(model, self._bodies[foot])]
-        return float(np.mean([data.xanchor[hip.id][2] for hip in self.hips]) - lowest_point(model, data, geoms))
+        return measure_leg_length(self.model, self.standing_qpos, self.hips, self.foot_bodies)
 
     @property
     def foot_bodies(self) -> tuple[int, ...]:
@@ -322,24 +283,13 @@ class Robot:
 
     def foot_place(self, data: mujoco.MjData, foot: str) -> np.ndarray:
         """Return the mean place of a foot's colliding geoms, or the body's own (m, in the world)."""
-        index = self._bodies[foot]
-        geoms = colliding_geoms(self.model, index)
-        return np.asarray(data.geom_xpos[geoms].mean(axis=0) if geoms else data.xpos[index])
+        return foot_place(self.model, data, self._bodies[foot])
 
     @cached_property
     def hip_signs(self) -> np.ndarray:
         """Return the sign of each hip's angle relative to its mirror image, if that comes first, else 1. ``[feet]``."""
         mirrored = self.mirror_feet
         return np.array([self.mirror_sign(hip.name) if mirrored[i] < i else 1.0 for i, hip in enumerate(self.hips)])
-
-    def _joints_above(self, body: str) -> list[Joint]:
-        index = self._bodies[body]
-        while index:
-            moving = [j for j in self.joints if self._bodies[j.body] == index]
-            if moving:
-                return moving
-            index = int(self.model.body_parentid[index])
-        return []
 
     @cached_property
     def _bodies(self) -> dict[str, int]:
@@ -366,14 +316,9 @@ class Robot:
     def foot_velocity_sensors(self) -> np.ndarray | None:
         """Return the indices in ``sensordata`` of each foot's velocity in the world, shape ``[feet, 3]``.
 
-        ``None`` if a foot has no ``<framelinvel objtype="body"/>`` sensor.
+        ``None`` if a foot has no ``<framelinvel/>`` sensor of a site of its own, or else of its body.
         """
-        model, sensors = self.model, {}
-        for i in range(model.nsensor):
-            moves = model.sensor_type[i] == mujoco.mjtSensor.mjSENS_FRAMELINVEL
-            body = model.sensor_objtype[i] in (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_XBODY)
-            if moves and body and model.sensor_reftype[i] == mujoco.mjtObj.mjOBJ_UNKNOWN:
-                sensors[body_name(model, int(model.sensor_objid[i]))] = int(model.sensor_adr[i])
+        sensors = velocity_sensors(self.model)
         if any(foot not in sensors for foot in self.feet):
             return None
         return np.array([sensors[foot] for foot in self.feet])[:, None] + np.arange(3)
@@ -399,75 +344,31 @@ class Robot:
     # Mirror: reflection in the sagittal plane.
 
     @cached_property
-    def _pairs(self) -> Pairs:
-        last = {leg[-1].name for leg in self.legs if leg}
-        base = self.base
-        return pair_joints(self.model, base.root, self.joints, self.standing_qpos, base.frame[1], last)
+    def _mirror(self) -> RobotMirror:
+        return RobotMirror(self.base, self.joints, self.legs, self.feet, self.standing_qpos)
 
     @property
     def mirror(self) -> dict[str, str]:
         """Return the mirror image of each joint, by name; a joint without one is its own."""
-        return self._pairs.images
+        return self._mirror.pairs.images
 
     @property
     def mirror_plane(self) -> Plane:
         """Return the sagittal plane, where it is in the standing pose."""
-        return self._pairs.plane
+        return self._mirror.pairs.plane
 
     def mirror_name(self, name: str) -> str:
         """Return the name of the same joint or body on the other side, or ``name`` if there is none."""
-        if name in self.mirror:
-            return self.mirror[name]
-        if name in self.feet and self.feet[self.mirror_feet[self.feet.index(name)]] != name:
-            return self.feet[self.mirror_feet[self.feet.index(name)]]
-        moved = [joint.name for joint in self.joints if joint.body == name]
-        if moved and self.mirror[moved[-1]] != moved[-1]:
-            return self.joint(self.mirror[moved[-1]]).body
-        return name if moved else swap_side(name, self._bodies)
+        return self._mirror.image(name)
 
     def mirror_sign(self, name: str) -> float:
         """Compare a joint's axis with its partner's: +1 if equal angles mirror each other, -1 if opposite ones do."""
-        return self._mirror_signs[name]
+        return self._mirror.signs[name]
 
-    @cached_property
-    def _mirror_signs(self) -> dict[str, float]:
-        pose, joints = zero_pose(self.model, self.joints, standing_pose(self.model)), {j.name: j for j in self.joints}
-        lateral = self.base.frame[1]
-        return {
-            name: reflected_sign(self.model, pose, joints[name], joints[other], lateral)
-            for name, other in self.mirror.items()
-        }
-
-    @cached_property
+    @property
     def mirror_feet(self) -> tuple[int, ...]:
-        """Return for each foot the index of its mirror image; its own index if that is no foot.
-
-        The joints that two such feet hang on mirror each other; of several feet on one part the nearest to the
-        reflected place counts, and names decide among equals.
-        """
-        data = mujoco.MjData(self.model)
-        data.qpos[:] = self.standing_qpos
-        mujoco.mj_kinematics(self.model, data)
-        places = np.array([self.foot_place(data, foot) for foot in self.feet])
-        ends = [leg[-1].name if leg else None for leg in self.legs]
-        images = [self.mirror[end] if end is not None else None for end in ends]
-        away = np.linalg.norm(self.mirror_plane.place(places)[:, None] - places[None], axis=-1)
-        ranked = []
-        for i, foot in enumerate(self.feet):
-            other = swap_side(foot, self.feet)
-            for k in range(i, len(self.feet)):
-                # A joint that is its own image keeps its feet, unless two of them are a pair by their names.
-                named = self.feet[k] == other and k != i
-                if images[i] == ends[k]:
-                    equal = 0.1 * float(np.ptp(places, axis=0).max()) if named else 0.0
-                    ranked.append((float(away[i, k]) - equal, i, k))
-        order = list(range(len(self.feet)))
-        paired: set[int] = set()
-        for _, i, k in sorted(ranked):
-            if not {i, k} & paired:
-                order[i], order[k] = k, i
-                paired |= {i, k}
-        return tuple(order)
+        """Return for each foot the index of its mirror image; its own index if that is no foot."""
+        return self._mirror.feet
 
     @cached_property
     def foot_pairs(self) -> tuple[tuple[int, ...], ...]:
@@ -488,19 +389,8 @@ class Robot:
 
     @cached_property
     def action_mirror(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return permutation and sign: ``sign * action[..., permutation]`` is the mirrored action. Each ``[A]``.
-
-        An actuator that turns its joint the other way than its image does, for a negative gear, has the other sign. One
-        of a joint whose mirror image has none is its own image, which no mirror check passes.
-        """
-        gears = [float(self.model.actuator_gear[i, 0]) for i in self.actuators]
-        order, sign = [], []
-        for i, name in enumerate(self.actuated):
-            other = self.mirror[name]
-            k = self.actuated.index(other) if other in self.actuated else i
-            order.append(k)
-            sign.append(self.mirror_sign(name) * (-1.0 if gears[i] * gears[k] < 0 else 1.0))
-        return np.array(order, dtype=np.int64), np.array(sign, dtype=np.float64)
+        """Return permutation and sign: ``sign * action[..., permutation]`` is the mirrored action. Each ``[A]``."""
+        return self._mirror.actions(self.actuators, self.actuated)
 
     @property
     def actuators(self) -> tuple[int, ...]:

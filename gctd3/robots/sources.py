@@ -21,7 +21,8 @@ from xml.etree import ElementTree
 import gctd3
 from gctd3.errors import RobotError, suggest
 from gctd3.robots.mjcf import find_mjcf, shipped_robots
-from gctd3.robots.urdf import collision_meshes, is_urdf
+from gctd3.robots.urdf import is_urdf
+from gctd3.robots.urdf_meshes import collision_meshes
 
 if TYPE_CHECKING:
     from gctd3.robots.settings import RobotSettings

@@ -6,7 +6,8 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from gctd3.evaluation.quantities import quantity
 from gctd3.evaluation.robustness import Examination
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.summary import OF_STRIDES, summarize, why_missing
-from gctd3.files import made, new_file, shown, unwritable, write_text
+from gctd3.files import check_writable, made, new_file, quoted, unwritable, write_text
 from gctd3.progress import StatusLine
 from gctd3.robots.robot import Robot
 from gctd3.runs.settings import EvaluateSettings
@@ -35,6 +36,28 @@ ROBUSTNESS, ROBUSTNESS_PICTURE = "robustness.json", "robustness.png"
 COMMANDS, COMMANDS_PICTURE = "commands.json", "commands.png"
 
 
+@dataclass(frozen=True)
+class Measured:
+    """Hold the result of an evaluation.
+
+    Attributes:
+        report: The report in ``evaluation.json``.
+        typical: The typical episode, with its motion; ``None`` for a task that cannot be filmed.
+        robot: The robot.
+        control_dt: Control period (s).
+    """
+
+    report: dict[str, object]
+    typical: Episode | None
+    robot: Robot
+    control_dt: float
+
+    @property
+    def trace(self) -> str | None:
+        """Return the motion of the typical episode as CSV, if it was recorded."""
+        return None if self.typical is None else trace(self.typical, self.robot, self.control_dt)
+
+
 def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
     """Evaluate the best policy of a run; write ``evaluation.json`` and ``trace.csv`` to ``settings.folder``, if any.
 
@@ -46,9 +69,9 @@ def evaluate_run(settings: EvaluateSettings) -> dict[str, object]:
         RunError: If the directory is not a run, one of another version, or of a task that robustness is not for.
     """
     with made(settings.folder):
-        report, motion = measure_run(settings)
-        write_evaluation(settings.folder, report, motion)
-    return report
+        measured = measure_run(settings)
+        write_evaluation(settings.folder, measured)
+    return measured.report
 
 
 def where_to_write(settings: EvaluateSettings) -> tuple[Path | None, str | None]:
@@ -60,6 +83,8 @@ def where_to_write(settings: EvaluateSettings) -> tuple[Path | None, str | None]
     Raises:
         RunError: If ``out`` asks for a folder that cannot be written to.
     """
+    if settings.bag is not None:
+        check_writable(Path(settings.bag))
     folder = settings.folder
     reason = unwritable(folder) if folder is not None else None
     if reason is None:
@@ -78,10 +103,10 @@ def where_written(folder: Path | None, names: Sequence[str]) -> str:
     """
     if folder is None:
         return "Nothing is written for the policy that ships with gctd3: out=DIR writes, and run=DIR to that run."
-    return f"Written to {' and '.join(shown(folder / name) for name in names if (folder / name).is_file())}"
+    return f"Written to {' and '.join(quoted(folder / name) for name in names if (folder / name).is_file())}"
 
 
-def write_evaluation(folder: Path | None, report: Mapping[str, object], motion: str | None) -> None:
+def write_evaluation(folder: Path | None, measured: Measured) -> None:
     """Write what :func:`measure_run` returned to a folder, if one is given.
 
     Raises:
@@ -90,16 +115,14 @@ def write_evaluation(folder: Path | None, report: Mapping[str, object], motion: 
     if folder is None:
         return
     folder.mkdir(parents=True, exist_ok=True)
+    motion = measured.trace
     if motion is not None:
         write_text(folder / TRACE, motion)
-    write_text(folder / EVALUATION, json.dumps(report, indent=2) + "\n")
+    write_text(folder / EVALUATION, json.dumps(measured.report, indent=2) + "\n")
 
 
-def measure_run(settings: EvaluateSettings) -> tuple[dict[str, object], str | None]:
+def measure_run(settings: EvaluateSettings) -> Measured:
     """Evaluate the best policy of a run, and write nothing.
-
-    Returns:
-        The report, and the motion of the typical episode as CSV; ``None`` for a task that cannot be filmed.
 
     Raises:
         RunError: If the directory is not a run, one of another version, or of a task that robustness is not for.
@@ -112,6 +135,8 @@ def measure_run(settings: EvaluateSettings) -> tuple[dict[str, object], str | No
         check_able(run.setup.task, "robustness", run.directory)
     if settings.commands:
         check_able(run.setup.task, "commands", run.directory)
+    if settings.bag is not None:
+        check_able(run.setup.task, "film", run.directory)
     policy = run.policy()
     reward = settings.reward or run.settings.evaluation.reward
     task = run.setup.task.evaluated(reward)
@@ -130,7 +155,7 @@ def measure_run(settings: EvaluateSettings) -> tuple[dict[str, object], str | No
         "versions": versions(),
     }
     report = {key: _finite(value) for key, value in report.items()}
-    return report, trace(result.typical, task.robot, dt) if walks else None
+    return Measured(report, result.typical if walks else None, task.robot, dt)
 
 
 def examine_run(settings: EvaluateSettings, stride_time: float | None) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
 from gctd3.errors import ConfigError, check_between, check_seed
@@ -28,6 +29,8 @@ class EvaluateSettings(EpisodeSettings):
         perturbations: Perturbations of the robustness test, and their magnitudes.
         commands: Test a policy of task=velocity with a grid of commanded velocities too, one held in each episode.
         grid: The grid.
+        bag: File for a bag of the typical episode, with pip install 'gctd3[bags]'. ``.bag``: of ROS 1; ``.mcap``: of
+            ROS 2. ``None`` for none.
     """
 
     run: str | None = None
@@ -37,6 +40,19 @@ class EvaluateSettings(EpisodeSettings):
     perturbations: Perturbations = field(default_factory=Perturbations)
     commands: bool = False
     grid: CommandGrid = field(default_factory=CommandGrid)
+    bag: str | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.bag is None:
+            return
+        if Path(self.bag).suffix not in (".bag", ".mcap"):
+            raise ConfigError(f"bag must end in .bag (ROS 1) or .mcap (ROS 2), got {self.bag!r}.")
+        folder = Path(self.bag).absolute().parent
+        if not folder.is_dir():
+            raise ConfigError(f"bag={self.bag}: there is no folder {folder}.")
+        if find_spec("rosbags") is None:
+            raise ConfigError("A bag needs rosbags: pip install 'gctd3[bags]'.")
 
     @property
     def folder(self) -> Path | None:

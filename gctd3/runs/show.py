@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 
 from gctd3.errors import ConfigError, RunError
-from gctd3.files import shown
+from gctd3.files import quoted
 from gctd3.runs.load import load_run
 from gctd3.runs.settings import ViewSettings
 from gctd3.training.checkpoint import Checkpoints
@@ -107,7 +107,7 @@ def view(settings: ViewSettings) -> None:
 def _announce(settings: ViewSettings, port: int) -> None:
     url = f"http://{settings.host}:{port}"
     print(
-        f"{shown(settings.run) if settings.run else f'The policy {SHIPPED}'} walks at {url}; Ctrl-C ends it.",
+        f"{quoted(settings.run) if settings.run else f'The policy {SHIPPED}'} walks at {url}; Ctrl-C ends it.",
         flush=True,
     )
     screen = platform.system() != "Linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

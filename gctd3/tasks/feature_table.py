@@ -75,6 +75,18 @@ class FeatureTable:
             numbers[..., nodes[0] : nodes[-1] + 1, start : start + width] = values
         return numbers
 
+    def named(self, sensed: Sensed) -> dict[str, np.ndarray]:
+        """Return the value of each reading by name, in its unit, ``float64 [*]``."""
+        values: dict[str, np.ndarray] = {}
+        for name, feature, nodes, start, _ in self._placed:
+            numbers = np.asarray(called(f"{self.key}.{name}", feature, sensed), dtype=np.float64)
+            for i, node in enumerate(nodes):
+                for k in range(numbers.shape[-1]):
+                    one = self.readings[node][start + k]
+                    if one is not None:
+                        values[one.name] = numbers[..., i, k] + one.zero
+        return values
+
     def place(self, reading: str) -> tuple[int, int]:
         """Return the node and the number of a reading.
 

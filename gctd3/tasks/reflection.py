@@ -13,7 +13,7 @@ import numpy as np
 
 from gctd3.errors import RobotError
 from gctd3.robots.graph import KinematicGraph
-from gctd3.robots.mirror_check import misplaced_joints
+from gctd3.robots.model_reflection import misplaced_joints
 from gctd3.robots.robot import Robot
 from gctd3.tasks.feature_table import FeatureTable
 from gctd3.tasks.features import paper_features

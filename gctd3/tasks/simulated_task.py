@@ -466,6 +466,11 @@ class SimulatedTask:
         """Return the same task on a changed robot that has the same graph."""
         return type(self)(robot, self.reward, self.settings, self.graph)
 
+    def on_plane(self) -> SimulatedTask:
+        """Return the same task on the plane of the robot's file."""
+        settings = replace(self.settings, terrain=None)
+        return type(self)(self.robot, self.reward, settings, self.graph) if self.settings.terrain is not None else self
+
     def without_end(self) -> SimulatedTask:
         """Return the same task with fatal terminations only, after which the robot could not continue."""
         kept = {n: term if term is not None and term.fatal else None for n, term in self.settings.terminations.items()}

@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from gctd3.config.build import again
 from gctd3.config.help import written
-from gctd3.files import shown
+from gctd3.files import quoted
 from gctd3.training.saved_configuration import CONFIG, flat
 
 MINUTE = 60.0
@@ -31,7 +31,7 @@ def opening(config: DictConfig, task: str, run: Path) -> str:
         lines += ["Differs from the defaults:", *(f"  {line}" for line in different[:_MORE])]
     if len(different) > _MORE:
         lines.append(f"  and {len(different) - _MORE} more")
-    lines += [f"All settings: {shown(run / CONFIG)}", f"Run directory: {shown(run)}"]
+    lines += [f"All settings: {quoted(run / CONFIG)}", f"Run directory: {quoted(run)}"]
     return "\n".join(lines)
 
 

@@ -15,7 +15,7 @@ from torchrl.record.loggers import Logger, get_logger
 from torchrl.record.loggers.mlflow import MLFlowLogger
 
 from gctd3.errors import ConfigError, RunError
-from gctd3.files import shown, write_text
+from gctd3.files import quoted, write_text
 from gctd3.training.checkpoint import FOLDER
 from gctd3.training.stop_when import COLUMNS
 from gctd3.viz.film import gif, write_animation
@@ -171,5 +171,5 @@ def refuse_a_run(directory: Path) -> None:
     if (directory / PROGRESS).exists() or (directory / FOLDER).exists():
         raise RunError(
             f"{directory} holds a run already: choose another hydra.run.dir, or continue it with "
-            f"{shown(f'resume={directory}')}."
+            f"{quoted(f'resume={directory}')}."
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from gctd3.files import shown
+from gctd3.files import quoted
 from gctd3.robots.own_copy import OwnCopy
 from gctd3.setup.setup import Setup
 from gctd3.training.settings import TrainSettings
@@ -32,5 +32,5 @@ def setup_of(run: Path, settings: TrainSettings) -> Setup:
         if copy is None and robot.source is not None and not robot.source.ships:
             note = f"It keeps no copy of its robot; what it is now is taken: {robot.source}."
     if note is not None:
-        print(f"{shown(run)}: {note}", file=sys.stderr, flush=True)
+        print(f"{quoted(run)}: {note}", file=sys.stderr, flush=True)
     return setup

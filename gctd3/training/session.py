@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,11 +12,12 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
+from gctd3.compat import postpone_compiler
 from gctd3.config.build import again, build, packages
 from gctd3.config.paths import escaped
 from gctd3.config.terminal import enduring_output
 from gctd3.errors import RunError
-from gctd3.files import refuse_links, remove, remove_empty, remove_leftovers, shown
+from gctd3.files import quoted, refuse_links, remove, remove_empty, remove_leftovers
 from gctd3.robots.keep import has_robot, keep_robot
 from gctd3.signals import StopRequest
 from gctd3.training.announcements import best_text, closing, opening
@@ -82,6 +84,8 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     if resumed:
         differs = changes_of_arithmetic(before, config)
     settings = build(config, trusted=not resumed, besides=own)
+    if not settings.algo.compile:
+        postpone_compiler()
     settings.check_here()
     setup = setup_of(run, settings) if resumed else settings.setup()
     # Before anything is written: a robot that cannot be mirrored as asked is refused.
@@ -112,7 +116,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
             config.robot.source = setup.robot.source.place
         trainer = Trainer(settings, run, {"config": OmegaConf.to_container(config, resolve=True)}, setup)
         if resumed and not trainer.restore():
-            print(f"{shown(run)} has no checkpoint yet: it starts from the beginning.")
+            print(f"{quoted(run)} has no checkpoint yet: it starts from the beginning.")
         if not (resumed and has_robot(run)):
             keep_robot(setup.robot, run)
         save_config(run, config, overrides)
@@ -133,13 +137,14 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
             )
         # From here on there is a result, which does not depend on who reads about it.
         with enduring_output():
+            gc.enable()  # which the command disabled for its start
             trainer.run(stop)
             print(closing(trainer.best, run, config, walks, trainer.finished))
             if not trainer.finished:
                 print(f"Continue it:  {again(config, 'train', f'resume={run}')}")
     if stop.file is not None:
         with enduring_output():
-            print(f"{shown(run)}: {'stopped' if stop else 'done'}. {best_text(trainer.best, walks)}", flush=True)
+            print(f"{quoted(run)}: {'stopped' if stop else 'done'}. {best_text(trainer.best, walks)}", flush=True)
     return trainer.best
 
 
@@ -163,7 +168,7 @@ def _output(run: Path, stop: StopRequest) -> Iterator[None]:
     if stop.file is None:
         yield
         return
-    print(f"{shown(run)}: begins; its output is in its {LOG}", flush=True)
+    print(f"{quoted(run)}: begins; its output is in its {LOG}", flush=True)
     with (
         (run / LOG).open("a", encoding="utf-8", buffering=1) as log,
         contextlib.redirect_stdout(log),

@@ -19,7 +19,7 @@ from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import TaskSettings, check_backend
 from gctd3.training.device import check_device, check_index
 from gctd3.training.give_up import GiveUp
-from gctd3.training.stop_when import StopWhen
+from gctd3.training.stop_when import RECORDED, StopWhen
 
 if TYPE_CHECKING:
     from gctd3.robots.robot import Robot
@@ -191,6 +191,11 @@ class TrainSettings:
         check_backend(task, self.env.backend)
         if self.env.backend != "library":
             substeps_of(task.control_dt, task.robot)
+        if self.stop_when.of_motion and "film" not in task.abilities:
+            raise ConfigError(
+                f"stop_when must have no condition on {', '.join(RECORDED)} for {task.name}: motions are recorded of "
+                f"simulated tasks, got {', '.join(name for name in RECORDED if name in self.stop_when.names)}."
+            )
         self.exploration.check_robot(task.robot, task.control_dt)
         try:
             task.evaluated(self.evaluation.reward)

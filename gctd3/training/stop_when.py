@@ -6,7 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from gctd3.envs.settings import MOST_ROBOTS
 from gctd3.errors import ConfigError, suggest
+
+RECORDED = ("slip_speed", "height_from_home", "periodic_fraction", "torque_saturation")
 
 # Columns of progress.csv; gctd3.evaluation.quantities has names, units and definitions of those of gaits.
 COLUMNS = (
@@ -21,6 +24,8 @@ COLUMNS = (
     "hip_correlation",
     "stride_hz",
     "flight_fraction",
+    # Of the motion, which is recorded where a condition asks for one of them.
+    *RECORDED,
     "diverged",
     "train_episodes",
     "restarts",
@@ -42,6 +47,8 @@ class StopWhen:
         at_least: Lowest values, by the name of the metric; ``None`` leaves a condition out.
         at_most: Highest values, by the name of the metric; ``None`` leaves a condition out.
         evaluations: Evaluations in a row that must meet all conditions to end the training; ``None`` to train on.
+        confirm: Episodes, from starts that no evaluation uses, in which the policy that would end the training must
+            meet all conditions once more; it is then the best one. 0 for none.
         restart_after: Frames without an evaluation that meets all conditions, after which the training begins again
             with new weights and an empty replay: random restarts, against seeds that settle on a bad gait. ``None`` for
             never.
@@ -50,6 +57,7 @@ class StopWhen:
     at_least: Mapping[str, float | None] = field(default_factory=dict)
     at_most: Mapping[str, float | None] = field(default_factory=dict)
     evaluations: int | None = None
+    confirm: int = 0
     restart_after: int | None = None
 
     def __post_init__(self) -> None:
@@ -61,8 +69,20 @@ class StopWhen:
             )
         if self.evaluations is not None and self.evaluations < 1:
             raise ConfigError(f"evaluations must be at least 1, or null, got {self.evaluations}.")
+        if not 0 <= self.confirm <= MOST_ROBOTS:
+            raise ConfigError(f"confirm must be at least 0 and at most {MOST_ROBOTS:,}, got {self.confirm}.")
         if self.restart_after is not None and self.restart_after < 1:
             raise ConfigError(f"restart_after must be at least 1, or null, got {self.restart_after}.")
+
+    @property
+    def of_motion(self) -> bool:
+        """Return whether a condition is on a metric of :data:`RECORDED`, for which the motion has to be recorded."""
+        return any(name in RECORDED for name in self.names)
+
+    @property
+    def names(self) -> list[str]:
+        """Return the metrics on which there is a condition."""
+        return [name for name, _ in (*_bounds(self.at_least), *_bounds(self.at_most))]
 
     def reached(self, metrics: Mapping[str, float]) -> int:
         """Count the conditions that hold; an undefined metric meets none."""
@@ -73,6 +93,10 @@ class StopWhen:
     def all_reached(self, metrics: Mapping[str, float]) -> bool:
         """Return whether all conditions hold."""
         return self.reached(metrics) == len(_bounds(self.at_least)) + len(_bounds(self.at_most))
+
+    def ends_after(self, in_a_row: int) -> bool:
+        """Return whether so many evaluations in a row that met all conditions end the training."""
+        return self.evaluations is not None and in_a_row >= self.evaluations
 
     def score(self, metrics: Mapping[str, float]) -> float:
         """Return a score that ranks policies by the conditions that they meet, then by return."""

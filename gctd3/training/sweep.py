@@ -15,7 +15,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from gctd3.files import shown
+from gctd3.files import quoted
 from gctd3.signals import heeded
 from gctd3.training.saved_configuration import CONFIG
 
@@ -126,7 +126,7 @@ def end(error: BaseException | None) -> None:
         if broken and sweep.signal is None and _go_on(directory):
             _begin_again(directory)
         if begun:
-            print(f"Continue it with the same command and {shown(f'hydra.sweep.dir={directory}')}", flush=True)
+            print(f"Continue it with the same command and {quoted(f'hydra.sweep.dir={directory}')}", flush=True)
         if sweep.signal is not None:
             raise SystemExit(128 + sweep.signal)
         if broken:
@@ -140,7 +140,7 @@ def _go_on(directory: Path) -> bool:
     while not (new := [run for run in lost(directory) if run not in known]) and time.monotonic() < until:
         time.sleep(WATCH / 2)
     for run in new:
-        print(f"error: {shown(run)}: its process was killed; the other runs go on.", file=sys.stderr, flush=True)
+        print(f"error: {quoted(run)}: its process was killed; the other runs go on.", file=sys.stderr, flush=True)
     if not new:
         print("error: A process of the sweep was killed, and with it all others.", file=sys.stderr, flush=True)
     os.environ[AGAIN] = "\n".join([*known, *new])

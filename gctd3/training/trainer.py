@@ -10,12 +10,13 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl import torchrl_logger
 from tqdm import tqdm
@@ -33,11 +34,13 @@ from gctd3.data.stepping import Stepping
 from gctd3.envs.factory import EnvRecipe, build_env
 from gctd3.errors import NumericalError, RunError, TrainingError, WorkerError
 from gctd3.evaluation.rollout import evaluate
-from gctd3.files import new_directory, save_tree, shown, write_manifest, write_text
+from gctd3.evaluation.summary import summarize
+from gctd3.files import new_directory, quoted, save_tree, write_manifest, write_text
 from gctd3.setup.setup import Setup
 from gctd3.signals import StopRequest
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.training.checkpoint import STATE, Checkpoints, checked, fit
+from gctd3.training.confirmation import confirm, described
 from gctd3.training.device import pick_device
 from gctd3.training.diagnosis import why_given_up
 from gctd3.training.give_up import Watch
@@ -46,6 +49,7 @@ from gctd3.training.progress import Counters, ProgressLine
 from gctd3.training.rng_state import load_random_state, random_state, seed_all
 from gctd3.training.run_log import RunLog
 from gctd3.training.settings import TrainSettings
+from gctd3.training.stop_when import RECORDED
 from gctd3.viz.film import FPS, clip
 
 MOST_TIME = 0.03  # share of the wall-clock that checkpoints may take
@@ -91,6 +95,9 @@ class Trainer:
         recipe = EnvRecipe(task, env)
         self.collector = build_collector(settings.collector, recipe, settings.batch_steps, settings.seed, self.explorer)
         evaluated = env.for_evaluation(settings.evaluation.episodes, env.threads)
+        if settings.stop_when.of_motion:
+            # The one backend that records motions.
+            evaluated = replace(evaluated, backend="batched")
         self.evaluation_env = build_env(task.evaluated(settings.evaluation.reward), evaluated, settings.evaluation.seed)
         manifest = {"graph": {"nodes": setup.graph.nodes, "edges": setup.graph.edges}, **(about or {})}
         self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, manifest)
@@ -119,7 +126,7 @@ class Trainer:
         """Copy the networks of the run that ``init`` names, if it names one."""
         if self.settings.init is not None:
             frames = begin_from(self.algorithm, Path(self.settings.init), self.setup)
-            print(f"Networks begin as {shown(self.settings.init)} had them after {frames:,} frames.", flush=True)
+            print(f"Networks begin as {quoted(self.settings.init)} had them after {frames:,} frames.", flush=True)
 
     @property
     def _first_evaluation(self) -> int:
@@ -129,8 +136,7 @@ class Trainer:
     def finished(self) -> bool:
         """Return whether all frames or episodes are collected, or enough evaluations in a row met all conditions."""
         settings, now = self.settings, self.counters
-        reached = settings.stop_when.evaluations is not None and now.in_a_row >= settings.stop_when.evaluations
-        return reached or self._spent
+        return settings.stop_when.ends_after(now.in_a_row) or self._spent
 
     @property
     def _spent(self) -> bool:
@@ -206,8 +212,7 @@ class Trainer:
         row = self._evaluate()
         self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
         line.evaluated(self._figures(row))
-        now.in_a_row = now.in_a_row + 1 if settings.stop_when.all_reached(row) else 0
-        if now.in_a_row:
+        if settings.stop_when.all_reached(row):
             now.promising = now.frames
         elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
             self._begin_again(line)
@@ -249,7 +254,9 @@ class Trainer:
         if not (self.directory / OPEN_LOOP).exists():
             self._evaluate_open_loop()
         policy = self.algorithm.policy()
-        result = evaluate(policy, self.evaluation_env, self.setup.task, settings.evaluation.seed)
+        task, recorded = self.setup.task, settings.stop_when.of_motion
+        result = evaluate(policy, self.evaluation_env, task, settings.evaluation.seed, record=recorded)
+        motion = summarize(result.episodes, cast(SimulatedTask, task).robot, task.control_dt) if recorded else {}
         metrics: dict[str, float] = {
             "frames": now.frames,
             "updates": now.updates,
@@ -259,14 +266,29 @@ class Trainer:
             "restarts": now.restarts,
             **result.summary(),
             **{key: value for key, value in result.gait().items() if key != "episodes"},
+            **{key: value for key in RECORDED if (value := motion.get(key)) is not None},
         }
-        if self.best is None or settings.stop_when.score(metrics) > settings.stop_when.score(self.best):
+        sure = self._ends_with(policy, metrics)
+        if sure or self.best is None or settings.stop_when.score(metrics) > settings.stop_when.score(self.best):
             self.checkpoints.save_best(now.frames, policy, metrics)
             self.best = metrics
         self.log.add_row(metrics)
         if settings.video:
             self.log.clip(clip(policy, cast(SimulatedTask, self.setup.task), settings.evaluation.seed), FPS, now.frames)
         return metrics
+
+    def _ends_with(self, policy: TensorDictModuleBase, metrics: Mapping[str, float]) -> bool:
+        """Count evaluations in a row that met all conditions; return whether a confirmed policy ends the training."""
+        stop_when, now = self.settings.stop_when, self.counters
+        now.in_a_row = now.in_a_row + 1 if stop_when.all_reached(metrics) else 0
+        if not stop_when.confirm or not stop_when.ends_after(now.in_a_row):
+            return False
+        again = confirm(policy, self.settings, self.setup.task)
+        sure = stop_when.all_reached(again)
+        if not sure:
+            now.in_a_row = 0
+        tqdm.write(described(again, stop_when.confirm, sure))
+        return sure
 
     def _evaluate_open_loop(self) -> None:
         """Evaluate the warm-up's fittest gait without a policy, to see later what learning has added."""

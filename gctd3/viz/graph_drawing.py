@@ -12,7 +12,7 @@ import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from gctd3.config.build import build
-from gctd3.files import shown
+from gctd3.files import quoted
 from gctd3.robots.geometry import convex_hull, geom_points
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.mjcf import bodies_below, body_name, colliding_geoms
@@ -216,8 +216,8 @@ def show_graph(config: DictConfig) -> None:
     graph = KinematicGraph.from_robot(robot, settings.robot.graph, settings.robot.graph_seed)
     if robot.origin:
         print(f"{robot.origin}\n")
-    print(f"{shown(robot.path)}: {robot.base.kind} base, forward {robot.forward_axis}, feet {', '.join(robot.feet)}")
+    print(f"{quoted(robot.path)}: {robot.base.kind} base, forward {robot.forward_axis}, feet {', '.join(robot.feet)}")
     print(graph)
     if settings.out is not None:
         draw_graph(robot, graph, settings.size).save(Path(settings.out))
-        print(f"\nWritten to {shown(settings.out)}")
+        print(f"\nWritten to {quoted(settings.out)}")

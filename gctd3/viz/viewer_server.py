@@ -13,7 +13,7 @@ import viser
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from gctd3.compat import control_of, served_with
+from gctd3.compat import control_of, served_with, wake_by_the_loop
 from gctd3.viz.browser_messages import Gate
 from gctd3.viz.hosts import LOOPBACK, Names, bracketed
 
@@ -42,6 +42,7 @@ def serve(host: str, port: int, allowed_hosts: Sequence[str] = ()) -> viser.Vise
     quiet.disabled = True  # or whoever connects could fill the log
     changed = {"create_connection": partial(_CheckedConnection, gate), "max_size": _LARGEST, "logger": quiet}
     names = Names([*LOOPBACK, *_names_of(host)], allowed_hosts)
+    wake_by_the_loop()
     with served_with(lambda given: given | changed | {"process_request": _checked(names, given["process_request"])}):
         started.append(viser.ViserServer(host=host, port=port, label="gctd3", verbose=False))
     return started[0]

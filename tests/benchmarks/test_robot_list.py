@@ -146,10 +146,11 @@ def test_faults_are_found_and_named(bench, tmp_path):
     assert "foot torso is no end of a leg" in list(bench.wrong_feet(lame, 2))
     assert any(fault.startswith("foot torso is 0.4") for fault in bench.wrong_feet(lame, 2))
     assert list(bench.wrong_pairs(robot)) == []
-    robot.__dict__["mirror_feet"] = (0, 1)
+    pairs = robot._mirror.pairs
+    robot.__dict__["_mirror"] = SimpleNamespace(pairs=pairs, feet=(0, 1))
     assert list(bench.wrong_pairs(robot)) == ["2 of 2 feet have no mirror image"]
     crossed = SimpleNamespace(images={"hip_r": "hip_l", "hip_l": "hip_l"})
-    robot.__dict__["_pairs"] = crossed
+    robot.__dict__["_mirror"] = SimpleNamespace(pairs=crossed, feet=(0, 1))
     assert "joint hip_r is not the mirror image of its own" in list(bench.wrong_pairs(robot))
 
 

@@ -240,7 +240,7 @@ def test_a_run_that_is_not_there_is_answered(capsys, tmp_path, name):
         ("export", "max_rate=0", "max_rate must be above 0 rad/s, or null, got 0.0."),
         ("export", "hold=-1", "hold must be at least 0.0, got -1.0."),
         ("export", "home_rate=0", "home_rate must be above 0 and at most 100 rad/s, got 0.0."),
-        ("export", "out=policy.pth", "out must end in .onnx, .pt2 or .hpp, got 'policy.pth'."),
+        ("export", "out=policy.pth", "out must end in .onnx, .pt2, .hpp, .urdf or .sdf, got 'policy.pth'."),
         ("export", "out=nowhere/policy.onnx", "nowhere"),
         ("render", "width=0", "width must be at least 1, got 0."),
         ("render", "height=100000", "height must be at most 16,384, got 100000."),

@@ -32,8 +32,9 @@ def robot_of(name):
 def test_each_is_settings_of_a_robot_alone():
     assert len(OWNED) > 20
     for name, option in OWNED.items():
-        # What a training of such a robot asks for is in one place.
-        assert set(option) == {"defaults", "robot"} and option.defaults == ["free", "_self_"]
+        # What a training of such a robot asks for is in one place; B2's file lets standing feet creep.
+        assert set(option) - ({"reward"} if name == "b2" else set()) == {"defaults", "robot"}
+        assert option.defaults == ["free", "_self_"]
         robot = robot_of(name)
         assert robot.name == name and robot.takes_a_source and all(map(package_of, robot.sources))
 

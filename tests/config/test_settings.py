@@ -87,6 +87,50 @@ def test_any_algorithm_takes_any_experiment(experiment, algorithm):
     build(composed(f"experiment={experiment}", f"algo={algorithm}"))
 
 
+RECIPE = {"batch_size": 128, "learning_starts": 40_000, "gradient_steps": 6, "learning_rate": 6e-4, "every": 10_000}
+BEFORE = {"batch_size": 256, "learning_starts": 10_000, "gradient_steps": 4, "learning_rate": 3e-4, "every": 20_000}
+
+
+def recipe_of(*arguments):
+    s = build(composed(*arguments))
+    return {
+        "batch_size": s.replay.batch_size,
+        "learning_starts": s.exploration.learning_starts,
+        "gradient_steps": s.gradient_steps,
+        "learning_rate": s.algo.learning_rate,
+        "every": s.evaluation.every,
+    }
+
+
+@pytest.mark.parametrize("arguments", [[], ["algo=td3"], ["reward=paper"], ["stop_when=never"], ["robot=biped"]])
+def test_the_biped_has_a_recipe_of_its_own(arguments):
+    assert recipe_of(*arguments) == RECIPE
+
+
+@pytest.mark.parametrize("experiment", ["table5", "graphs", "history"])
+def test_comparisons_keep_the_recipe_that_their_results_were_made_with(experiment):
+    assert recipe_of(f"experiment={experiment}") == BEFORE
+    assert build(composed(f"experiment={experiment}")).exploration.mutation_share == 0.0
+
+
+def test_the_papers_hyperparameters_are_those_of_its_table():
+    of_paper = {"gradient_steps": 1, "learning_starts": 1_000, "every": 50_000}
+    assert recipe_of("experiment=paper") == {**BEFORE, **of_paper}
+
+
+@pytest.mark.parametrize("arguments", [["robot=quadruped"], ["task=halfcheetah"], ["robot=biped_planar"]])
+def test_no_other_robot_has_the_bipeds_recipe(arguments):
+    of_robot = recipe_of(*arguments)
+    assert {**of_robot, "learning_starts": 10_000} == BEFORE
+
+
+def test_a_policy_that_walks_ends_the_training_unless_it_never_ends():
+    walk = build(composed()).stop_when
+    assert (walk.evaluations, walk.confirm) == (1, 50)
+    never = build(composed("stop_when=never")).stop_when
+    assert (never.evaluations, never.confirm, never.restart_after) == (None, 0, None)
+
+
 @pytest.mark.parametrize("task", ["walker_walk", "walker2d", "halfcheetah", "ant"])
 def test_a_librarys_task_brings_what_goes_with_it(task):
     settings = build(composed(f"task={task}"))
@@ -111,8 +155,8 @@ def test_the_other_commands_build(root):
 
 
 def test_yaml_and_python_agree(default):
-    """The defaults of the Python functions equal those of the command line."""
-    settings = build(default)
+    """The defaults of the Python functions equal those of the command line, apart from what is tuned for one robot."""
+    settings = build(composed("recipe=none"))
     assert settings.network == Network() and settings.algo == TD3Settings()
     assert settings.exploration == ExplorationSettings() and settings.replay == ReplaySettings()
     assert settings.collector == InlineSettings() and settings.robot == RobotSettings()

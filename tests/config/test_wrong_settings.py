@@ -138,7 +138,7 @@ def test_settings_that_do_not_fit_one_another(default):
     assert "total_frames must be at least env.num_envs * rollout_steps = 640, got 639" in fails(
         edited(edited(default, "rollout_steps", 10), "total_frames", 639)
     )
-    assert "replay.batch_size must be at most buffer_size, got 256 and 100" in fails(
+    assert "replay.batch_size must be at most buffer_size, got 128 and 100" in fails(
         edited(default, "replay.buffer_size", 100)
     )
 

@@ -1,5 +1,8 @@
 """The buffer of single frames gives the same transitions as the stacks that the environment delivered."""
 
+import os
+from pathlib import Path
+
 import pytest
 import torch
 from thinned import parametrize
@@ -8,6 +11,8 @@ import gctd3
 from gctd3.data.frame_buffer import FrameBuffer
 from gctd3.data.replay import ENDS, KEPT, StackedBuffer
 from gctd3.errors import ConfigError
+
+STATM = Path("/proc/self/statm")
 
 ROBOTS, STEPS, HISTORY, GAMMA = 5, 160, 5, 0.9
 
@@ -80,6 +85,18 @@ def test_a_million_transitions_of_the_biped_take_at_most_200_megabytes(collected
     # A final frame for every 20th step on top.
     final = sum(table[0].nbytes for table in buffer._last.values()) * 50_000
     assert buffer.nbytes + final <= 200e6
+
+
+@pytest.mark.skipif(not STATM.exists(), reason="reads the memory of a process as Linux shows it")
+def test_rows_take_up_memory_once_they_are_written(collected):
+    def resident():
+        return int(STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+    buffer = FrameBuffer(4_000_000, 8, history=5, n_step=1, gamma=0.99)
+    before = resident()
+    buffer.extend(collected)
+    # Whether a row has a last frame of its own is 4 bytes, and not zero for one that has none.
+    assert buffer.nbytes > 400e6 and resident() - before < 60e6
 
 
 def test_restores_what_it_saved(collected):

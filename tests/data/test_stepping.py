@@ -9,7 +9,7 @@ import torch
 from running import command, tiny
 from tensordict import TensorDict
 
-from gctd3.data.stepping import Stepping
+from gctd3.data.stepping import Stepping, foot_height, foot_way
 from gctd3.envs.simulation import Simulation
 from gctd3.robots.gait_pattern import GaitPattern, alternating_phases
 from gctd3.robots.settings import RobotSettings
@@ -64,7 +64,7 @@ def test_left_and_right_feet_step_half_a_period_apart(quadruped):
 
 
 def test_the_fitter_gaits_are_remembered_and_inherited(quadruped):
-    """Told distances make a gait fit: the memory of each robot holds its best trial, less what it forgets."""
+    """Rewards make a gait fit: the memory of each robot holds the mean reward of its best trial."""
     gaits = stepping(quadruped, trial=0.1)
     begins, nothing = torch.ones(4, dtype=torch.bool), torch.zeros(4, dtype=torch.bool)
     gaits(begins, torch.zeros(4))
@@ -73,13 +73,13 @@ def test_the_fitter_gaits_are_remembered_and_inherited(quadruped):
     # A trial of 0.1 s lasts five control steps.
     for step in range(1, 6):
         gaits(nothing, 0.1 * step * speeds)
-    torch.testing.assert_close(gaits.fitness, 0.5 * speeds)
+    torch.testing.assert_close(gaits.fitness, 0.1 * speeds)
     torch.testing.assert_close(gaits.best_frequency, tried)
     # A second trial, of other gaits, that stands still leaves the memory.
     gaits.again.fill_(False)
     for _ in range(5):
         gaits(nothing, 0.5 * speeds)
-    torch.testing.assert_close(gaits.fitness, 0.5 * speeds)
+    torch.testing.assert_close(gaits.fitness, 0.1 * speeds)
     torch.testing.assert_close(gaits.best_frequency, tried)
 
 
@@ -93,7 +93,8 @@ def test_luck_does_not_stay(quadruped):
     gaits.again.fill_(True)
     for step in range(1, 6):
         gaits(nothing, 0.004 * step * torch.tensor([0.0, 1.0, 2.0, 4.0]))
-    torch.testing.assert_close(gaits.fitness, 0.15 + 0.01 * torch.tensor([0.0, 1.0, 2.0, 4.0]))
+    # Of 0.3 and a fifth of the last sum of rewards.
+    torch.testing.assert_close(gaits.fitness, 0.15 + 0.002 * torch.tensor([0.0, 1.0, 2.0, 4.0]))
     assert gaits.best_frequency.tolist() == [1.0, 1.5, 2.0, 2.5]
 
 
@@ -110,13 +111,35 @@ def test_in_the_last_round_robots_try_what_they_remember(quadruped):
         torch.testing.assert_close(getattr(gaits, name), getattr(gaits, f"best_{name}"))
 
 
+def test_the_last_round_is_between_the_fittest(quadruped, monkeypatch):
+    """Robots share the fittest few gaits, and one that does well with all its robots wins over one that was lucky."""
+    monkeypatch.setattr(Stepping, "FINALISTS", 2)
+    torch.manual_seed(0)
+    gaits = Stepping(quadruped, 8, 0.04, 0.02, steps=10)
+    nothing, returned = torch.zeros(8, dtype=torch.bool), torch.zeros(8)
+    gaits(~nothing, returned)
+    gaits.fitness.copy_(torch.tensor([0.1, 0.9, 0.2, 0.8, 0.3, 0.0, 0.0, 0.0]))
+    strides = gaits.best_stride.clone()
+    gaits.taken.fill_(7)
+    gaits(nothing, returned)
+    assert gaits.best_stride.tolist() == strides[[1, 3] * 4].tolist()
+    assert gaits.stride.tolist() == gaits.best_stride.tolist()
+    # Of the first one's robots one does well; of the second one's all do.
+    for _ in range(6):
+        returned = returned + torch.tensor([0.9, 0.8, 0.0, 0.8, 0.0, 0.8, 0.0, 0.8])
+        gaits(nothing, returned)
+    assert float(gaits.fitness[0]) > float(gaits.fitness[1]) > float(gaits.fitness[2])
+    assert gaits._fittest(1)["stride"].tolist() == strides[[3]].tolist()
+
+
 def test_a_fall_makes_a_gait_less_fit(quadruped):
     gaits = stepping(quadruped, trial=0.1)
     begins, nothing = torch.ones(4, dtype=torch.bool), torch.zeros(4, dtype=torch.bool)
     gaits(begins, torch.zeros(4))
     gaits(nothing, torch.full((4,), 0.05))
     gaits(torch.tensor([True, False, False, False]), torch.zeros(4))
-    assert gaits.fitness[0] == pytest.approx(0.05 - 0.5 * 0.1 * quadruped.leg_length)
+    # Rewards that it got before count as if the others of the trial's five were 0.
+    assert gaits.fitness[0] == pytest.approx(0.05 / 5 - 1.0)
     assert not gaits.fitness[1:].isfinite().any()
 
 
@@ -157,15 +180,17 @@ def test_gaits_that_evolve_walk(quadruped):
     simulation, gaits = Simulation(task, robots, threads=1), Stepping(quadruped, robots, 2.0, 0.02)
     begins, fittest = torch.ones(robots, dtype=torch.bool), []
     simulation.reset(begins.numpy())
+    returned = torch.zeros(robots)
     for step in range(630):
-        position = torch.from_numpy(simulation.now.position).float()
-        outcome = simulation.step(gaits(begins, position).numpy().astype(float))
+        outcome = simulation.step(gaits(begins, returned).numpy().astype(float))
+        returned = returned + torch.from_numpy(outcome.reward).float()
         begins = torch.from_numpy(outcome.terminated | outcome.truncated)
         simulation.reset(begins.numpy())
+        returned = torch.where(begins, 0.0, returned)
         if step in (105, 629):
             fittest.append(float(gaits.fitness.median()))
-    # What half of the robots remember is fitter than at first, and covers ground.
-    assert fittest[1] > max(fittest[0], 0.1)
+    # What half of the robots remember is fitter than at first, and covers ground; to stand costs 0.1.
+    assert fittest[1] > max(fittest[0], 0.05)
 
 
 def test_the_fittest_gait_can_be_played_without_noise(quadruped):
@@ -228,6 +253,41 @@ def test_feet_are_lifted_while_the_clock_lets_them_swing(quadruped):
             columns = [quadruped.actuated.index(joint.name) for joint in leg]
             moved = (lifted - walked)[:, columns].abs().max()
             assert (moved > 1e-3) == (phases[foot] < 0.5), (cycles, foot)
+
+
+@pytest.mark.parametrize("duty", [0.5, 0.65])
+def test_feet_stand_at_the_speed_of_the_ground(duty):
+    """On the ground a foot goes back evenly, and the path has no corner where it lifts off or touches down."""
+    phase = torch.linspace(0.0, 1.0, 2001, dtype=torch.float64)
+    way = foot_way(phase, torch.tensor(duty, dtype=torch.float64))
+    height = foot_height(phase, torch.tensor(1.5))
+    speed = torch.diff(way) / torch.diff(phase)
+    middle = (phase[1:] + phase[:-1]) / 2
+    stands = (middle - 0.25).abs() > (1.0 - duty) / 2 + 1e-3
+    torch.testing.assert_close(speed[stands], torch.full_like(speed[stands], -2.0 / duty))
+    assert torch.diff(speed).abs().max() < 0.05 * speed.max()
+    # To the front in the air, from end to end, and up in the first half of the period alone.
+    assert way[phase < 0.25].min() < -1.0 < 1.0 < way[(phase > 0.25) & (phase < 0.5)].max()
+    assert height.max() == pytest.approx(1.0) and not height[phase > 0.5].any()
+
+
+def test_feet_go_along_a_line_and_not_an_arc(quadruped):
+    """What joint angles in proportion to a foot's way would raise it by is taken back, by MuJoCo's kinematics."""
+    gaits, data = stepping(quadruped), mujoco.MjData(quadruped.model)
+    address = [quadruped.joint(name).qpos for name in quadruped.actuated]
+    for foot, name in enumerate(quadruped.feet):
+        heights = []
+        for share in (-0.1, 0.0, 0.1):
+            way = torch.zeros(1, len(quadruped.feet), 3)
+            way[0, foot, 0] = share * quadruped.leg_length
+            action = torch.einsum("nfd,fda->na", way, gaits.joints)[0].numpy()
+            data.qpos[:] = quadruped.standing_qpos
+            data.qpos[address] += quadruped.action_map[1] * action
+            mujoco.mj_kinematics(quadruped.model, data)
+            heights.append(quadruped.foot_place(data, name)[2])
+        # As far as a parabola, measured over three times the way, is that arc.
+        rise = (heights[0] + heights[2]) / 2 - heights[1]
+        assert float(gaits.arc[foot]) * 0.1**2 * quadruped.leg_length == pytest.approx(rise, rel=0.1)
 
 
 def test_the_fittest_action_is_that_of_its_time(quadruped):

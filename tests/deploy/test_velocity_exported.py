@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 import torch
-from running import command
 
 from gctd3.deploy import Policy
 from gctd3.deploy.cpp_policy import to_cpp
@@ -26,10 +25,8 @@ RANGES = {
 
 
 @pytest.fixture(scope="module")
-def file(finished, tmp_path_factory):
-    out = tmp_path_factory.mktemp("exported") / "policy.onnx"
-    assert command("export", f"run={finished['velocity']}", f"out={out}", "episodes=2", "threads=1") == 0
-    return out
+def file(exported_velocity):
+    return exported_velocity
 
 
 def test_every_reading_names_its_source_and_commands_their_range(file):

@@ -12,7 +12,6 @@ from gctd3.evaluation.effort import (
     cost_of_transport,
     froude_number,
     mechanical_work,
-    saturation,
     slip_speed,
 )
 
@@ -40,12 +39,6 @@ def test_slip_leaves_out_landing_and_leaving():
     speed = np.array([9.0, 9, 9, 5, 0.1, 0.2, 0.3, 7, 9, 9, 9])
     assert slip_speed(speed, contact) == pytest.approx(0.2)
     assert math.isnan(slip_speed(speed, np.zeros(11, dtype=bool)))
-
-
-def test_saturation_by_hand():
-    force = np.array([[30.0, 1.0], [-30.0, 5.0], [29.0, -2.0], [3.0, -5.0]])
-    assert saturation(force, np.array([30.0, 5.0])) == pytest.approx(50.0)  # 4 of 8
-    assert saturation(force, np.array([30.0, np.inf])) == pytest.approx(25.0)
 
 
 def test_differences_of_polynomials():

@@ -47,6 +47,27 @@ def test_servo_forces_are_mujocos(any_robot):
     assert clipped > 50  # both cases occur
 
 
+@pytest.mark.parametrize("gear", [1.0, 3.0, -2.0])
+@pytest.mark.parametrize("own", ["", 'forcerange="-6 9"'])
+@pytest.mark.parametrize("at_joint", ["", 'actuatorfrcrange="-5 8"'])
+def test_servo_forces_are_what_the_joint_gets(gear, own, at_joint):
+    model = mujoco.MjModel.from_xml_string(f"""
+    <mujoco><worldbody><body><joint name="hip" axis="0 1 0" {at_joint}/><geom size="0.05" pos="0 0 -0.3"/></body>
+    </worldbody><actuator><position joint="hip" kp="20" kv="1" gear="{gear}" {own}/></actuator></mujoco>""")
+    data, servos, rng, bounds = mujoco.MjData(model), Servos(model), np.random.default_rng(0), set()
+    for _ in range(100):
+        data.qpos[:], data.qvel[:], data.ctrl[:] = rng.uniform(-1, 1), rng.uniform(-5, 5), rng.uniform(-1, 1)
+        mujoco.mj_forward(model, data)
+        found = servos.force(np.array(data.qpos), np.array(data.qvel), np.array(data.ctrl))
+        assert found * gear == pytest.approx(np.array(data.qfrc_actuator))
+        if servos.saturated(found)[0]:
+            bounds.add(round(found[0] * gear, 6))
+    low, high = sorted(np.array([-6, 9]) * gear) if own else (-np.inf, np.inf)
+    if at_joint:
+        low, high = max(low, -5.0), min(high, 8.0)
+    assert bounds == {bound for bound in (low, high) if np.isfinite(bound)}
+
+
 FILTERED = """
 <mujoco><option timestep="0.005"/><worldbody>
  <body name="base"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/><geom size="0.1" mass="1"/>

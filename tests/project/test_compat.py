@@ -1,6 +1,10 @@
 """gctd3.compat: every private name exists and works as expected, and a missing one raises an error that names it."""
 
+import asyncio
 import queue
+import subprocess
+import sys
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +13,7 @@ import torch
 from gymnasium.wrappers import RescaleAction
 from losses import CRITICS, data, make, td3_actor
 from omegaconf import OmegaConf
+from tensordict import TensorDict
 from torch import nn
 from torchrl.data import ReplayBuffer
 from torchrl.envs import DMControlEnv, GymEnv, SerialEnv
@@ -17,6 +22,7 @@ from torchrl.objectives import SoftUpdate
 from websockets.asyncio import server as websockets_server
 
 from gctd3 import compat, objectives
+from gctd3.nn.plain_module import PlainModule
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::gctd3.errors.PerformanceWarning"),
@@ -64,7 +70,7 @@ def test_every_function_says_so(call):
         call(Changed())
 
 
-@pytest.mark.parametrize("mixin", [compat.LossHooks, compat.AnswerHook])
+@pytest.mark.parametrize("mixin", [compat.LossHooks, compat.AnswerHook, compat.PlainOutputs])
 def test_a_hook_that_would_never_be_called_is_refused(mixin):
     class Changed:
         pass
@@ -93,6 +99,72 @@ def test_hide():
     compat.hide(outer, inner=inner, number=3)
     assert outer.inner is inner and outer.number == 3
     assert not list(outer.parameters()) and not outer.state_dict()
+
+
+POSTPONED = """
+import sys
+from gctd3 import compat
+compat.postpone_compiler()
+import torch, tensordict
+from gctd3.algorithms.adam import Adam
+from gctd3.training import trainer
+weight = torch.nn.Parameter(torch.zeros(3))
+adam = Adam([weight], lr=0.1)
+for _ in range(2):
+    adam.zero_grad()
+    (weight - 1).pow(2).sum().backward()
+    adam.step()
+missing = [name for name in ("torch._dynamo.eval_frame", "sympy") if name in sys.modules]
+assert not missing, missing
+marked = lambda: getattr(tensordict.utils._lock_warn, "_dynamo_marked_constant", False)
+assert not marked()
+# Anything else of it imports it, with the marks of TensorDict.
+assert torch.compile(lambda x: 2 * x, backend="eager")(torch.ones(2)).tolist() == [2, 2]
+assert "torch._dynamo.eval_frame" in sys.modules and marked()
+assert torch._dynamo is sys.modules["torch._dynamo"] and hasattr(torch._dynamo, "explain")
+"""
+
+
+def in_a_new_process(code):
+    result = subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+
+
+def test_the_compiler_is_imported_once_something_is_compiled():
+    in_a_new_process(POSTPONED)
+
+
+def test_import_compiler():
+    in_a_new_process(
+        "import sys; from gctd3 import compat; compat.postpone_compiler(); import torch; compat.import_compiler(); "
+        "assert 'torch._dynamo.eval_frame' in sys.modules; compat.import_compiler(); compat.postpone_compiler(); "
+        "assert hasattr(sys.modules['torch._dynamo'], 'explain')"
+    )
+
+
+# MuJoCo and TensorDict
+
+
+def test_mujoco_is_imported_without_a_screen():
+    in_a_new_process(
+        "import os, sys; from gctd3 import compat\n"
+        "for before in (None, 'egl'):\n"
+        "    if before: os.environ['MUJOCO_GL'] = before\n"
+        "    else: os.environ.pop('MUJOCO_GL', None)\n"
+        "    with compat.without_screen(): import mujoco\n"
+        "    assert os.environ.get('MUJOCO_GL') == before\n"
+        "assert 'glfw' not in sys.modules and mujoco.MjModel.from_xml_string('<mujoco/>').nq == 0"
+    )
+
+
+def test_outputs_are_written_as_they_are():
+    module = PlainModule(nn.Linear(2, 3), in_keys=["x"], out_keys=["y"])
+    batch = TensorDict({"x": torch.ones(4, 2)}, [4])
+    assert module(batch) is batch and torch.equal(batch["y"], module.module(batch["x"]))
+    # As TensorDict's own in all other cases.
+    assert torch.equal(module(x=torch.ones(4, 2)), batch["y"])
+    aside = TensorDict({}, [4])
+    assert module(batch, tensordict_out=aside) is aside and torch.equal(aside["y"], batch["y"])
 
 
 # TorchRL
@@ -215,6 +287,37 @@ def test_own_launcher():
 
 
 # viser
+
+
+def test_clients_of_viser_are_woken_in_the_loop():
+    """A message of another thread neither wakes anybody there nor is lost."""
+    pytest.importorskip("viser")
+    compat.wake_by_the_loop()
+    compat.wake_by_the_loop()
+    from viser.infra import Message
+    from viser.infra._async_message_buffer import AsyncMessageBuffer
+
+    class Said(Message):
+        def redundancy_key(self):
+            return "said"
+
+    async def run():
+        buffer = AsyncMessageBuffer(asyncio.get_running_loop(), persistent_messages=True)
+
+        async def first():
+            return await anext(aiter(buffer.window_generator(0)))
+
+        client = asyncio.create_task(first())
+        await asyncio.sleep(0.1)  # it waits for a message now
+        # The loop stands still while another thread sends one.
+        sender = threading.Thread(target=buffer.push, args=(Said(),))
+        sender.start()
+        sender.join()
+        early = buffer.message_event.is_set()
+        return early, await asyncio.wait_for(client, 10)
+
+    early, (message,) = asyncio.run(run())
+    assert not early and isinstance(message, Said)
 
 
 def test_a_viser_server_is_served_with_other_arguments():

@@ -11,19 +11,19 @@ ROOT = Path(gctd3.__file__).parent
 # One verb a word; a new one is added here.
 VERBS = set(
     """
-    Accept Act Add Advance Align Append Apply Ask Assign Attach Average Begin Bind Block Bound Build Cache
-    Call Cancel Carry Change Check Choose Clip Close Collect Compare Compile Complete Compose Compute
+    Accept Act Add Advance Align Announce Answer Append Apply Ask Assign Attach Average Begin Bind Block Bound Build
+    Cache Call Cancel Carry Change Check Choose Clip Close Collect Compare Compile Complete Compose Compute
     Configure Construct Continue Convert Copy Count Create Cut Decide Declare Decode Define Delay Delete
     Deliver Describe Detect Disable Divide Draw Drive Drop Enable Encode End Ensure Enter Estimate Evaluate
     Exchange Exclude Export Extract Fill Filter Find Finish Follow Forget Format Freeze Gather Generate Get
     Give Go Group Guard Handle Have Hide Hold Identify Ignore Implement Import Index Initialise Insert Install
     Interpolate Iterate Join Keep Label Leave Let Limit List Listen Load Locate Lock Log Look Make Map
-    Mark Match Measure Merge Minimise Mirror Move Name Note Number Observe Open Order Pair Parse Pass Pause
+    Mark Match Measure Merge Minimise Mirror Move Name Note Number Observe Offer Open Order Pair Parse Pass Pause
     Pay Penalise Permute Place Plot Predict Prepare Print Process Project Provide Publish Push Put Raise
     Randomise Rank React Read Reconstruct Record Reduce Reflect Refuse Register Release Remember Remove Rename
     Render Repeat Replace Replay Report Represent Request Reset Resolve Restart Restore Resume Return Reward
     Run Sample Save Say Scale Search Seed Select Send Sense Separate Set Share Show Shut Simulate Skip Smooth
-    Sort Split Stack Start Step Stop Store Sum Summarise Switch Take Tell Terminate Test Time Track Train
+    Sort Split Stack Start Step Stop Store Subscribe Sum Summarise Switch Take Tell Terminate Test Time Track Train
     Transform Translate Undo Update Use Validate Wait Walk Warn Watch Weight Wrap Write Yield
     """.split()  # noqa: SIM905 - one line a verb would be long
 )

@@ -15,7 +15,7 @@ def phases(robot):
 
 def test_two_legs_take_turns():
     _, of_feet = phases("biped")
-    assert sorted(of_feet) == [0.0, 0.5]
+    assert sorted(of_feet) == [0.25, 0.75]
 
 
 def test_four_legs_trot():
@@ -27,13 +27,13 @@ def test_four_legs_trot():
     places = np.array([robot.base.frame @ robot.foot_place(data, foot) for foot in robot.feet])
     front, left = places[:, 0] > places[:, 0].mean(), places[:, 1] > places[:, 1].mean()
     assert front.sum() == left.sum() == 2
-    np.testing.assert_array_equal(of_feet, np.where(front == left, 0.0, 0.5))
+    np.testing.assert_array_equal(of_feet, np.where(front == left, 0.25, 0.75))
 
 
 def test_six_legs_walk_on_tripods():
     """The feet of neighbouring legs of one side take turns, so that three feet step at a time."""
     robot, of_feet = phases("hexapod")
-    assert np.sum(of_feet == 0.0) == np.sum(of_feet == 0.5) == 3
+    assert np.sum(of_feet == 0.25) == np.sum(of_feet == 0.75) == 3
     firsts = [of_feet[pair[0]] for pair in robot.foot_pairs]
     assert len(set(firsts)) == 2
     for left, right in robot.foot_pairs:

@@ -1,67 +1,17 @@
 """Whether a robot may be mirrored, against simulations of it and of its mirror image, and random robots."""
 
-import mujoco
 import numpy as np
 import pytest
 from compositions import walking
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robots import FREE_LEGS, TWO_LEGS
+from two_sides import BOOM, biped, robot_of
 
 from gctd3.envs.simulation import Simulation
 from gctd3.errors import RobotError
 from gctd3.robots import mirror_check
-from gctd3.robots.mirror_check import MOST_RESIDUAL, ModelReflection, check_mirror
+from gctd3.robots.mirror_check import MOST_RESIDUAL, check_mirror
 from gctd3.robots.robot import Robot
-
-BOOM = '<joint name="rx" type="slide" axis="1 0 0"/><joint name="rz" type="slide" axis="0 0 1"/>'
-
-
-def leg(side, y, axis="0 -1 0", mass=0.6, hip="-0.8 0.8", knee="-1.4 0.1", dynamics='damping="1"'):
-    return f"""
-      <body name="thigh_{side}" pos="0 {y} 0">
-        <joint name="hip_{side}" axis="{axis}" range="{hip}" armature="0.01" {dynamics}/>
-        <geom type="capsule" fromto="0 0 -0.03 0 0 -0.22" size="0.025" mass="1" contype="1" conaffinity="0"/>
-        <body name="foot_{side}" pos="0 0 -0.25">
-          <joint name="knee_{side}" axis="{axis}" range="{knee}" armature="0.01" damping="1"/>
-          <geom name="sole_{side}" type="capsule" fromto="0 0 -0.03 0 0 -0.25" size="0.025" mass="{mass}" contype="1"
-                conaffinity="0"/>
-        </body>
-      </body>"""
-
-
-def servos(side, kp=60, gear=1, hip="-0.8 0.8", knee="-1.4 0.1", force="-40 40"):
-    return "".join(
-        f'<position name="a_{name}_{side}" joint="{name}_{side}" kp="{kp}" kv="3" ctrlrange="{limits}" '
-        f'forcerange="{force}" gear="{gear}"/>'
-        for name, limits in (("hip", hip), ("knee", knee))
-    )
-
-
-def biped(base=BOOM, trunk="0 0 0.12", left=None, left_servos=None, more=""):
-    """Two legs of a thigh and a foot, whose left one differs as the arguments say."""
-    left = {"side": "left", "y": 0.1, **(left or {})}
-    return f"""
-<mujoco>
-  <compiler angle="radian"/> <option timestep="0.005" integrator="implicitfast"/>
-  <worldbody>
-    <geom name="floor" type="plane" size="0 0 1" contype="0" conaffinity="1"/>
-    <body name="torso" pos="0 0 0.53">{base}
-      <geom type="box" size="0.06 0.1 0.12" pos="{trunk}" mass="6" contype="1" conaffinity="0"/>
-      {leg("right", -0.1)}{leg(**left)}
-    </body>
-  </worldbody>
-  <actuator>{servos("right")}{servos("left", **(left_servos or {}))}</actuator>
-  <sensor>
-    <contact body1="foot_right" geom2="floor" data="found"/> <contact body1="foot_left" geom2="floor" data="found"/>
-  </sensor>
-  {more}
-</mujoco>"""
-
-
-def robot_of(text, **known):
-    return Robot.from_mjcf(mujoco.MjModel.from_xml_string(text), **known)
-
 
 TURNED = {"knee": "-0.1 1.4"}  # the range of a knee whose angles have the other sign
 SYMMETRIC = {
@@ -138,38 +88,6 @@ def test_the_same_on_other_bases(base):
         assert named in check_mirror(robot_of(biped(base, **changes)), 0.02).reason
 
 
-def places_apart(robot, ground, rng):
-    """Return how far a robot's parts are from the reflections of their images (m), 0.1 s after a reflected state.
-
-    In places, not in the coordinates that the check compares.
-    """
-    image, model = ModelReflection(robot), robot.model
-    order, signs = robot.action_mirror
-    qpos, qvel = image._draw(rng, ground)
-    action = rng.uniform(-1.0, 1.0, len(order))
-    low, high = robot.action_range.T
-    seen = []
-    for pose, speed, taken in ((qpos, qvel, action), (*image.states(qpos, qvel), signs * action[order])):
-        data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:] = pose, speed
-        data.ctrl[:] = (low + high) / 2 + (high - low) / 2 * taken
-        mujoco.mj_step(model, data, nstep=round(0.1 / model.opt.timestep))
-        mujoco.mj_kinematics(model, data)
-        seen.append(data.xipos.copy())
-    bodies = {model.body(b).name: b for b in range(1, model.nbody)}
-    return max(
-        float(np.linalg.norm(seen[0][b] * (1, -1, 1) - seen[1][bodies[robot.mirror_name(name)]]))
-        for name, b in bodies.items()
-    )
-
-
-@pytest.mark.parametrize("ground", [None, 0.0], ids=["air", "ground"])
-@pytest.mark.parametrize("name", ["quadruped", "hexapod", "biped"])
-def test_reflected_states_move_to_reflected_places(name, ground):
-    rng = np.random.default_rng(3)
-    assert max(places_apart(Robot.from_mjcf(name), ground, rng) for _ in range(5)) < 1e-6
-
-
 def test_what_a_robot_may_differ_by_is_measured():
     verdict = check_mirror(robot_of(biped("<freejoint/>", trunk="0 0.002 0.12")), 0.02)
     assert verdict.symmetric and 1e-4 < verdict.residual < MOST_RESIDUAL
@@ -234,19 +152,6 @@ def test_it_is_decided_once(monkeypatch):
     robot, decided = robot_of(biped()), []
     monkeypatch.setattr(mirror_check, "_check", lambda *given: decided.append(given[1]) or "verdict")
     assert [check_mirror(robot, dt) for dt in (0.02, 0.02, 0.01)] == ["verdict"] * 3 and decided == [0.02, 0.01]
-
-
-@pytest.mark.parametrize("text", [TWO_LEGS, FREE_LEGS, biped("<freejoint/>")], ids=["boom", "free", "knees"])
-def test_reflecting_a_state_twice_changes_nothing(text):
-    robot = robot_of(text)
-    image, rng = ModelReflection(robot), np.random.default_rng(0)
-    for _ in range(5):
-        qpos, qvel = image._draw(rng, None)
-        again = image.states(*image.states(qpos, qvel))
-        np.testing.assert_allclose(again[1], qvel, atol=1e-12)
-        apart = np.zeros(robot.model.nv)
-        mujoco.mj_differentiatePos(robot.model, apart, 1.0, again[0], qpos)
-        np.testing.assert_allclose(apart, 0.0, atol=1e-12)
 
 
 # Random robots: legs of any joints about any axes, each pair in a convention of its own.

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from robots import FREE_LEGS, TWO_LEGS
 from running import command
-from test_urdf import LEGS
+from urdf_files import LEGS
 
 from gctd3 import RobotSettings
 from gctd3.errors import RobotError

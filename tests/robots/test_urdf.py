@@ -5,41 +5,13 @@ import struct
 import mujoco
 import numpy as np
 import pytest
+from urdf_files import INERTIAL, LEG, LEGS, joint, link, robot
 
 from gctd3 import RobotSettings, ServoSettings
 from gctd3.errors import RobotError
-from gctd3.robots.urdf import collision_meshes, is_urdf, read_urdf
+from gctd3.robots.urdf import is_urdf, read_urdf
+from gctd3.robots.urdf_meshes import collision_meshes
 
-INERTIAL = '<inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
-
-
-def link(name, *geometry, inertial=INERTIAL, origin=""):
-    shapes = "".join(f"<collision>{origin}<geometry>{shape}</geometry></collision>" for shape in geometry)
-    return f'<link name="{name}">{inertial}{shapes}</link>'
-
-
-def joint(
-    name, parent, child, xyz="0 0 0", kind="revolute", more='<limit lower="-1" upper="1" effort="7" velocity="9"/>'
-):
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{xyz}"/><axis xyz="0 1 0"/>{more}</joint>'
-    )
-
-
-def robot(*parts):
-    return f'<?xml version="1.0"?><!-- <mujoco> --><robot name="two">{"".join(parts)}</robot>'
-
-
-LEG = '<cylinder radius="0.02" length="0.4"/>'
-LEGS = robot(
-    link("torso", '<box size="0.2 0.2 0.2"/>'),
-    *(
-        link(f"leg_{side}", LEG, origin='<origin xyz="0 0 -0.2"/>')
-        + joint(f"hip_{side}", "torso", f"leg_{side}", place)
-        for side, place in (("l", "0 0.1 -0.1"), ("r", "0 -0.1 -0.1"))
-    ),
-)
 CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-2, 2) for z in (-3, 3)]) / 20.0
 # The twelve triangles of a box, by its corners.
 FACES = ["013", "032", "576", "465", "451", "410", "237", "276", "046", "062", "573", "531"]

@@ -58,7 +58,7 @@ def test_phases_go_round_by_hand(robot):
         memory, _ = task.advance(memory, now)
     turn = np.abs(memory[PHASES] - start)
     np.testing.assert_allclose(np.minimum(turn, 1.0 - turn), 0.0, atol=1e-12)
-    assert set(start[0]) == {0.0, 0.5}
+    assert set(start[0]) == {0.25, 0.75}
 
 
 def test_the_policy_sees_sine_and_cosine(robot):

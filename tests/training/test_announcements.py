@@ -6,7 +6,7 @@ import pytest
 from hydra import compose, initialize_config_module
 from running import command, tiny
 
-from gctd3.files import shown
+from gctd3.files import quoted
 from gctd3.training.announcements import closing, differences, duration, opening
 
 RUN = Path("runs/my run")
@@ -43,7 +43,7 @@ def test_what_differs_is_named_with_its_default(config):
     assert all(line.startswith(("seed=", "reward.terms.height", "algo.", "network.")) for line in differences(asked))
     said = opening(asked, "walk", RUN)
     assert said.splitlines()[0] == "biped on walk: up to 600,000 frames of 64 robots, seed 3"
-    assert f"Run directory: {shown(RUN)}" in said and str(RUN / ".hydra" / "config.yaml") in said
+    assert f"Run directory: {quoted(RUN)}" in said and str(RUN / ".hydra" / "config.yaml") in said
 
 
 def test_a_wholly_different_task_does_not_fill_the_screen(config, monkeypatch):

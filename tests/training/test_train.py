@@ -145,6 +145,12 @@ def test_best_is_what_meets_most_conditions_then_what_returns_most():
     assert stop.all_reached({"return_mean": 5.0, "stride_hz": 1.0, "hip_correlation": -0.5})
 
 
+def test_motions_are_recorded_where_a_condition_asks_for_them():
+    assert not StopWhen(at_least={"success_rate": 1.0}, at_most={"slip_speed": None}).of_motion
+    assert StopWhen(at_most={"slip_speed": 0.1}).of_motion
+    assert StopWhen(at_least={"periodic_fraction": 0.9}).names == ["periodic_fraction"]
+
+
 def test_the_best_checkpoint_of_a_run_is_the_best_row(runs):
     run, trainer = runs("gctd3")
     # Nothing walks after 240 frames, so that no condition is met and the return decides.

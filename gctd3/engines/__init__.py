@@ -1,0 +1,1 @@
+"""The robot in other physics engines than MuJoCo: a second opinion on a policy before a motor is switched on."""

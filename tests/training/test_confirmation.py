@@ -1,0 +1,74 @@
+"""A policy that would end the training has to meet the conditions from other starts too, and is then kept."""
+
+import numpy as np
+import pytest
+import torch
+from running import Recorded, rows, train
+
+from gctd3.errors import ConfigError
+from gctd3.evaluation import rollout
+from gctd3.training import confirmation, trainer
+from gctd3.training.checkpoint import Checkpoints
+from gctd3.training.stop_when import StopWhen
+
+# Conditions that every policy meets.
+EASY = ["~stop_when.at_most", "~stop_when.at_least.stride_hz", "stop_when.at_least.success_rate=0"]
+EASY += ["stop_when.at_least.return_mean=-1000", "stop_when.at_least.velocity_mean=-10", "total_frames=320"]
+
+
+def test_confirm_is_a_number_of_episodes():
+    with pytest.raises(ConfigError, match=r"confirm must be at least 0 .* got -1"):
+        StopWhen(confirm=-1)
+    assert StopWhen(evaluations=2).ends_after(2) and not StopWhen(evaluations=2).ends_after(1)
+    assert not StopWhen(evaluations=None, confirm=5).ends_after(100)
+
+
+def test_a_confirmed_policy_ends_the_training_at_once(tmp_path, capsys, monkeypatch):
+    seen = []
+    evaluate = rollout.evaluate
+
+    def watched(policy, env, task, seed, *more, **named):
+        result = evaluate(policy, env, task, seed, *more, **named)
+        # The first heights of an episode differ with its start.
+        seen.append((seed, len(result.episodes), [episode.height[0] for episode in result.episodes]))
+        return result
+
+    monkeypatch.setattr(trainer, "evaluate", watched)
+    monkeypatch.setattr(confirmation, "evaluate", watched)
+    run = train(tmp_path / "run", *EASY, "stop_when.confirm=3")
+    assert [row["frames"] for row in rows(run)] == ["80"]
+    assert "From 3 other starts this policy meets the conditions too" in capsys.readouterr().out
+    (seed, episodes, starts), (other, confirming, more) = seen
+    assert (seed, episodes, other, confirming) == (1_000, 2, 1_001, 3)
+    assert not np.isin(more, starts).any()
+
+
+def test_a_policy_that_is_not_confirmed_trains_on_and_a_confirmed_one_is_the_best(tmp_path, monkeypatch, capsys):
+    again = [{"return_mean": -2000.0, "success_rate": 0.0, "velocity_mean": 0.0}, None]
+
+    def confirm(policy, settings, task):
+        verdict, again[0] = again[0], again[1]
+        return verdict or {"return_mean": 0.0, "success_rate": 0.0, "velocity_mean": 0.0}
+
+    monkeypatch.setattr(trainer, "confirm", confirm)
+    run = train(tmp_path / "run", *EASY, "stop_when.confirm=3")
+    assert [row["frames"] for row in rows(run)] == ["80", "160"]
+    assert Checkpoints(run).best().name == "best-000000000160" and Recorded.last.finished
+    said = capsys.readouterr().out
+    assert said.index("misses the conditions that it met") < said.index("meets the conditions too")
+
+
+def test_confirming_changes_nothing_of_the_training(tmp_path, monkeypatch):
+    real = confirmation.confirm
+
+    def never(*arguments):
+        # As many episodes as without a test, of which the training must not notice anything.
+        return {**real(*arguments), "return_mean": -2000.0}
+
+    plain = train(tmp_path / "plain", *EASY, "stop_when.evaluations=null")
+    weights = Recorded.last.algorithm.actor.state_dict()
+    monkeypatch.setattr(trainer, "confirm", never)
+    other = train(tmp_path / "other", *EASY, "stop_when.confirm=2")
+    drop = ("wall_s",)
+    assert rows(plain, drop) == rows(other, drop)
+    assert all(torch.equal(value, weights[name]) for name, value in Recorded.last.algorithm.actor.state_dict().items())
