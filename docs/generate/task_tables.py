@@ -19,9 +19,11 @@ from gctd3.config.build import build
 from gctd3.config.fields import TARGET, find, in_markdown, meanings, settings_of
 from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.features import NodeFeature
+from gctd3.tasks.height_scan import HeightScan
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.simulated_task import Composition, SimulatedTask
 from gctd3.tasks.terms import Command, Randomisation, RewardTerm, Termination
+from gctd3.tasks.terrain import Terrain, TerrainKind
 
 # Columns of the tables of presets: what is chosen on the command line, and what has to be said beside it.
 PRESETS = {
@@ -130,6 +132,35 @@ def starts() -> Iterator[str]:
     yield from table(("kind", "class", "meaning", "keys"), rows)
 
 
+def terrain_kinds() -> Iterator[str]:
+    """List the kinds of ground."""
+    rows = []
+    for cls in classes(TerrainKind):
+        keys = [f"`{s.name}={OmegaConf.create([s.default])[0]}`: {in_markdown(s.meaning)}" for s in settings_of(cls)]
+        made = "boxes" if cls.stepped else "heightfield"
+        rows.append((f"`{cls.__name__}`", summary(cls), made, "<br>".join(keys) or _ABSENT))
+    yield from table(("class", "meaning", "made of", "keys"), rows)
+
+
+def height_scan() -> Iterator[str]:
+    """List the keys of the height scan."""
+    yield from _keys(HeightScan)
+
+
+def terrain_keys() -> Iterator[str]:
+    """List the keys of the terrain, but for its kinds."""
+    yield from _keys(Terrain, "kinds")
+
+
+def _keys(cls: type, *left_out: str) -> Iterator[str]:
+    rows = [
+        (f"`{one.name}`", f"`{OmegaConf.create([one.default])[0]}`", in_markdown(one.meaning))
+        for one in settings_of(cls)
+        if one.name not in left_out
+    ]
+    yield from table(("key", "default", "meaning"), rows)
+
+
 def biped() -> SimulatedTask:
     """Build the paper's task on the paper's robot."""
     config = composed()
@@ -202,4 +233,7 @@ TABLES = {
     "terminations": terminations,
     "termination-limits": termination_limits,
     "starts": starts,
+    "terrain-kinds": terrain_kinds,
+    "height-scan": height_scan,
+    "terrain-keys": terrain_keys,
 }

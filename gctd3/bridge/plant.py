@@ -146,4 +146,5 @@ def plant_of(run: str | None, contract: Contract, seed: int | None, seconds: flo
     task = setup_of(directory, settings).task
     check_able(task, "export", directory)
     assert isinstance(task, SimulatedTask)
-    return Plant(task.evaluated(settings.evaluation.reward), contract, seed, seconds)
+    # Its robot is the one of the contract, on the plane of its file.
+    return Plant(task.evaluated(settings.evaluation.reward).on_plane(), contract, seed, seconds)

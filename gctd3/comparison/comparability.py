@@ -18,6 +18,7 @@ TOGETHER = {
     "task": ("task._target_", "task.library", "task.name", "task.control_dt", "task.randomisations", "task.commands"),
     "evaluation reward": ("evaluation.reward",),
     "terminations": ("task.terminations",),
+    "terrain": ("task.terrain",),
 }
 # Number of episodes, and the seed of their starts; None where an evaluation does not say.
 Episodes = tuple[int | None, int | None]
@@ -27,7 +28,7 @@ def check_together(runs: Sequence[Run]) -> None:
     """Refuse runs whose numbers are not comparable.
 
     Raises:
-        RunError: If they differ in robot, task, evaluation reward or terminations; the message lists how.
+        RunError: If they differ in robot, task, evaluation reward, terminations or terrain; the message lists how.
     """
     problems = []
     for what, keys in TOGETHER.items():

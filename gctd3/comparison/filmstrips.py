@@ -39,7 +39,7 @@ def stride_of(run: Run, camera: str = "side") -> tuple[list[tuple[Image.Image, s
         first = int(np.argmax(walk.position >= min(BEGIN, walk.position[-1] / 2)))
         chosen = first + np.round(steps * np.arange(FRAMES) / FRAMES).astype(int)
         chosen = chosen[chosen < len(walk.qpos)]
-        images = list(draw(walk, task.robot, chosen, camera, (SIZE, SIZE), task.control_dt, words=False))
+        images = list(draw(walk, task.stage, chosen, camera, (SIZE, SIZE), task.control_dt, words=False))
     except GCTD3Error as error:
         raise RenderError(str(error)) from error
     what = "a stride" if strides else f"{STRIDE} s, its stride time being unknown"

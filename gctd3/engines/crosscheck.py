@@ -136,7 +136,8 @@ def cross_check(settings: CrossCheckSettings) -> CrossCheck:
         ConfigError: If the control period is no multiple of the time step.
     """
     run = load_run(settings.run)
-    task: SimulatedTask = run.task("export")
+    # Other engines have planes alone.
+    task: SimulatedTask = run.task("export").on_plane()
     steps = task.control_dt / settings.timestep
     if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
         raise ConfigError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import copy
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco as mujoco_api
@@ -33,10 +34,10 @@ from dm_env import specs  # noqa: E402
 class Physics(mujoco.Physics):
     """Simulate a robot and measure it in the task's terms."""
 
-    def measure(self, task: SimulatedTask) -> Measurement:
-        """Return the present measurement of the robot."""
+    def measure(self, task: SimulatedTask, spot: Mapping[str, np.ndarray] | None = None) -> Measurement:
+        """Return the present measurement of the robot; ``spot`` is as for :meth:`.SimulatedTask.measure`."""
         data = self.data
-        return task.measure(np.array(data.qpos), np.array(data.qvel), np.array(data.sensordata))
+        return task.measure(np.array(data.qpos), np.array(data.qvel), np.array(data.sensordata), spot)
 
 
 class DMTask(base.Task):
@@ -52,19 +53,23 @@ class DMTask(base.Task):
         self.task = task
         self._now: Measurement
         self._memory: Memory = {}
+        self._spot: Memory | None = None
         self._outcome: Outcome | None = None
 
     def initialize_episode(self, physics: Physics) -> None:
         """Put the robot into the start pose and velocities of an episode."""
-        physics.data.qpos[:], physics.data.qvel[:] = self.task.start(self.random)
+        spot = self.task.place(self.random, (), self._memory or None)
+        qpos, physics.data.qvel[:] = self.task.start(self.random)
+        physics.data.qpos[:] = self.task.put(qpos, spot)
+        self._spot = spot
         rest_servos(physics.model.ptr, physics.data.ptr)
         self.restart(physics)
 
     def restart(self, physics: Physics) -> None:
         """Begin an episode in the state that the physics has now."""
         physics.forward()
-        self._now = physics.measure(self.task)
-        self._memory = self.task.begin(self._now, self.random, self._memory or None)
+        self._now = physics.measure(self.task, self._spot)
+        self._memory = self.task.begin(self._now, self.random, self._memory or None, self._spot)
         self._outcome = None
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
@@ -79,7 +84,7 @@ class DMTask(base.Task):
 
     def after_step(self, physics: Physics) -> None:
         """Measure the robot and evaluate the step."""
-        self._now = physics.measure(self.task)
+        self._now = physics.measure(self.task, self._memory)
         self._memory, self._outcome = self.task.advance(self._memory, self._now, self._action, rng=self.random)
 
     def diverge(self) -> None:
@@ -206,7 +211,7 @@ def load(
         asked["task"] = asked.pop("settings")
     built = ask_simulated(task, **asked)
     # A copy of the model, so that changing it (a payload) does not affect other environments.
-    physics = Physics.from_model(wrapper.MjModel(copy.deepcopy(built.robot.model)))
+    physics = Physics.from_model(wrapper.MjModel(copy.deepcopy(built.stage.model)))
     return DMEnvironment(
         physics,
         DMTask(built, random),

@@ -65,6 +65,10 @@ class RobotsEnv(EnvBase):
         self.reward_spec = Unbounded((n, 1))
         self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=(n,))
 
+    def lanes(self) -> list[tuple[str, int]] | None:
+        """Return the kind and the level of the ground on which each robot's episode began; ``None`` on a plane."""
+        return None
+
     @abstractmethod
     def glance(self) -> Glance:
         """Return the present measurements of the robots."""

@@ -49,7 +49,7 @@ class Simulation:
         if self.threads < 1:
             raise ConfigError(f"threads must be at least 1, got {threads}.")
         self.task = task
-        self.model = task.robot.model
+        self.model = task.stage.model
         self.num_robots = num_robots
         self.substeps = substeps_of(task.control_dt, task.robot)
         self.rng = np.random.default_rng(seed)
@@ -88,7 +88,7 @@ class Simulation:
     def _alter(self, numbers: np.ndarray) -> None:
         self._numbers = numbers
         domain = self.task.domain
-        self._variants = build_models(self.task.robot, numbers) if domain and domain.settings.alters else [self.model]
+        self._variants = build_models(self.task.stage, numbers) if domain and domain.settings.alters else [self.model]
 
     def reset(self, mask: np.ndarray) -> None:
         """Start a new episode for the robots where ``mask`` (bool ``[N]``) holds."""
@@ -98,19 +98,21 @@ class Simulation:
         task, model = self.task, self.model
         sensors = np.zeros((len(robots), model.nsensordata))
         data = self._data[0]
+        last = {name: self.memory[name][robots] for name in task.memory.lasting}
+        spot = task.place(self.rng, robots.shape, last)
         for i, robot in enumerate(robots):
             mujoco.mj_resetData(model, data)
             data.time = BEGINNING
-            data.qpos[:], data.qvel[:] = task.start(self.rng)
+            qpos, data.qvel[:] = task.start(self.rng)
+            data.qpos[:] = task.put(qpos, {name: values[i] for name, values in spot.items()})
             rest_servos(model, data)
             mujoco.mj_forward(model, data)
             # The full physics state: actuators can have a state of their own.
             mujoco.mj_getState(model, data, self.state[robot], mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
             sensors[i] = data.sensordata
-        fresh = task.measure(self.state[robots, self._qpos], self.state[robots, self._qvel], sensors)
+        fresh = task.measure(self.state[robots, self._qpos], self.state[robots, self._qvel], sensors, spot)
         self.now = self.now.put(robots, fresh)
-        last = {name: self.memory[name][robots] for name in task.memory.lasting}
-        self.memory = put_rows(self.memory, robots, task.begin(fresh, self.rng, last))
+        self.memory = put_rows(self.memory, robots, task.begin(fresh, self.rng, last, spot))
 
     def step(self, action: np.ndarray) -> Outcome:
         """Take one control step of every robot; ``action [N, A]`` in [-1, 1] asks for :meth:`.Robot.desired_angles`.
@@ -137,7 +139,8 @@ class Simulation:
         late = before[:, 0] + self.task.control_dt - self.state[:, 0]
         diverged = ~(np.abs(late) < self.model.opt.timestep / 2) | ~np.isfinite(self.state).all(axis=-1)
         self.state = np.where(diverged[:, None], before, self.state)
-        now = self.task.measure(self.state[:, self._qpos], self.state[:, self._qvel], self._sensors[:, -1])
+        qpos, qvel = self.state[:, self._qpos], self.state[:, self._qvel]
+        now = self.task.measure(qpos, qvel, self._sensors[:, -1], self.memory)
         robots = np.flatnonzero(diverged)
         self.now = now.put(robots, self.now.take(robots)) if len(robots) else now
         self.memory, outcome = self.task.advance(self.memory, self.now, action, diverged, self.rng)

@@ -30,6 +30,7 @@ class Episode:
             ``[T, 3]`` (m/s, m/s, rad/s); ``None`` for a task without commands.
         moved: Velocities of the same kind after each step, shape ``[T, 3]``; ``None`` for a task without commands.
         fell: Whether the episode terminated.
+        ground: Kind and level of the terrain on which it began; ``None`` on a plane.
     """
 
     reward: np.ndarray
@@ -43,6 +44,7 @@ class Episode:
     command: np.ndarray | None = None
     moved: np.ndarray | None = None
     fell: bool = False
+    ground: tuple[str, int] | None = None
 
     def velocity(self, dt: float) -> float:
         """Compute the mean velocity, distance over time (m/s)."""

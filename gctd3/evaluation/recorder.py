@@ -12,6 +12,7 @@ from gctd3.evaluation.effort import mechanical_work
 from gctd3.robots.geometry import geom_points, lowest_point
 from gctd3.robots.mjcf import colliding_geoms
 from gctd3.robots.robot import Robot
+from gctd3.tasks.ground import Ground
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,8 @@ class Recorder:
         self, action: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, work: np.ndarray, saturated: np.ndarray
     ) -> Motion:
         robot = self.robot
-        height, speed = soles(robot, qpos, self.simulation.task.control_dt)
+        task = self.simulation.task
+        height, speed = soles(robot, qpos, task.control_dt, task.ground)
         return Motion(
             action=action,
             angles=qpos[:, [joint.qpos for joint in robot.joints]],
@@ -137,16 +139,18 @@ class Recorder:
         )
 
 
-def soles(robot: Robot, qpos: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the height of each foot's lowest point above its standing height (m), and its horizontal speed (m/s).
+def soles(robot: Robot, qpos: np.ndarray, dt: float, terrain: Ground | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the height of each foot's lowest point above the ground (m), and its horizontal speed (m/s).
 
-    The point is fixed to the foot, and its speed is the distance that it goes to the next sample over ``dt``; a foot
-    that rolls over its edge does not slip.
+    The ground is where the foot is when the robot stands, and on terrain what is below the point. The point is fixed to
+    the foot, and its speed is the distance that it goes to the next sample over ``dt``; a foot that rolls over its edge
+    does not slip.
 
     Args:
         robot: The robot.
         qpos: Poses, shape ``[T, nq]``.
         dt: Time between the samples (s).
+        terrain: The terrain; ``None`` for a plane.
 
     Returns:
         Heights (m) and speeds (m/s), each of shape ``[T, feet]``.
@@ -172,6 +176,8 @@ def soles(robot: Robot, qpos: np.ndarray, dt: float) -> tuple[np.ndarray, np.nda
         lowest = above.argmin(axis=1)
         height[:, i] = above.min(axis=1) - ground[i]
         now = place[:, i] + np.einsum("tjk,tk->tj", turn[:, i], points[lowest])
+        if terrain is not None:
+            height[:, i] -= terrain.height(now @ robot.base.frame[:2].T)
         later = place[1:, i] + np.einsum("tjk,tk->tj", turn[1:, i], points[lowest[:-1]])
         speed[:-1, i] = np.linalg.norm((later - now[:-1])[:, :2], axis=1) / dt
     if len(qpos) > 1:

@@ -50,6 +50,24 @@ class Evaluation:
             **tracking_errors(episodes, self.control_dt),
         }
 
+    def by_ground(self) -> list[dict[str, str | float | int]]:
+        """Summarise the episodes on each kind and level of terrain; empty on a plane."""
+        groups: dict[tuple[str, int], list[Episode]] = {}
+        for episode in self.episodes:
+            if episode.ground is not None:
+                groups.setdefault(episode.ground, []).append(episode)
+        return [
+            {
+                "kind": kind,
+                "level": level,
+                "episodes": len(episodes),
+                "success_rate": float(np.mean([e.success for e in episodes])),
+                "fall_rate": float(np.mean([e.fell for e in episodes])),
+                "distance_mean": float(np.mean([e.position[-1] for e in episodes])),
+            }
+            for (kind, level), episodes in sorted(groups.items())
+        ]
+
     @property
     def typical(self) -> Episode:
         """Return the episode with the median return, or the one just below."""
@@ -96,6 +114,7 @@ def evaluate(
         state = env.reset()
         recorder = Recorder(robot, env.base_env.simulation) if record else None
         commands = [env.base_env.glance().command]
+        grounds = env.base_env.lanes()
         while alive.any():
             acting = policy(state)
             check_finite("action", acting["action"])
@@ -137,6 +156,7 @@ def evaluate(
                 command=None if asked is None else asked[:steps, i],
                 moved=None if moved is None else moved[:steps, i],
                 fell=bool(terminated[i]),
+                ground=None if grounds is None else grounds[i],
             )
         )
     return Evaluation(episodes, task.control_dt)

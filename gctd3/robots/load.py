@@ -15,6 +15,7 @@ import numpy as np
 
 from gctd3.errors import RobotError, one_line
 from gctd3.robots.action_scale import find_action_scale
+from gctd3.robots.blueprint import Blueprint
 from gctd3.robots.completion import complete
 from gctd3.robots.held_pose import holds
 from gctd3.robots.portable import Written
@@ -52,7 +53,8 @@ def load_robot(settings: RobotSettings, feet: Sequence[str] | None = None) -> Ro
         notes=(*notes, *completed.notes),
         held=completed.held,
     )
-    robot = replace(robot, written=Written(completed.spec, completed.model, source.file.parent))
+    written = Written(completed.spec, completed.model, source.file.parent)
+    robot = replace(robot, written=written, blueprint=Blueprint(completed.spec.copy))
     scale = find_action_scale(robot, settings.action_scale)
     return robot if scale is None else _about_standing(replace(robot, action_scale=scale))
 

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 import zipfile
 from collections.abc import Callable, Mapping
@@ -26,6 +27,7 @@ from gctd3.files import (
     check_file,
     read_manifest,
 )
+from gctd3.robots.blueprint import Blueprint
 from gctd3.robots.keep import FORMAT, NUMBERS, has_robot, numbers
 from gctd3.robots.load import load_robot
 from gctd3.robots.physics import combined, part_hashes, physics_hash, solid_geoms
@@ -103,7 +105,8 @@ class OwnCopy:
         try:
             # Not by its path, of which MuJoCo reads a backslash as the border of a folder.
             read = {name: (self.folder / name).read_bytes() for name in self.content["files"] if name != NUMBERS}
-            model = mujoco.MjSpec.from_string(read.pop(OWN_MJCF).decode(), assets=read).compile()
+            text = read.pop(OWN_MJCF).decode()
+            model = mujoco.MjSpec.from_string(text, assets=read).compile()
             self._put_numbers(model)
         except (RobotError, ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise RunError(f"{self.folder} cannot be read: {error}") from error
@@ -123,7 +126,8 @@ class OwnCopy:
             held=about["held"],
         )
         scale, command = (None if about[k] is None else tuple(about[k]) for k in ("action_scale", "standing_command"))
-        return replace(robot, action_scale=scale, standing_command=command)
+        blueprint = Blueprint(functools.partial(mujoco.MjSpec.from_string, text, assets=read))
+        return replace(robot, action_scale=scale, standing_command=command, blueprint=blueprint)
 
     def _put_numbers(self, model: mujoco.MjModel) -> None:
         with np.load(self.folder / NUMBERS, allow_pickle=False) as kept:
@@ -204,10 +208,12 @@ class OwnCopy:
         if not self.content["left_out"] or was is None or source is None or source.sha256 != was.sha256:
             return robot
         try:
-            shown = load_robot(_from(settings, source)).model
+            shown = load_robot(_from(settings, source))
         except RobotError:
             return robot
-        return replace(robot, model=shown) if physics_hash(shown) == self.hash else robot
+        if physics_hash(shown.model) != self.hash:
+            return robot
+        return replace(robot, model=shown.model, blueprint=shown.blueprint)
 
 
 def _there(place: str) -> Source | None:

@@ -5,17 +5,19 @@ Stage one of the data flow. Needs MuJoCo and NumPy, nothing else.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
 from gctd3.errors import RobotError
 from gctd3.robots.actuators import check_servos
+from gctd3.robots.blueprint import Blueprint
 from gctd3.robots.feet import find_feet, foot_place, named_feet
 from gctd3.robots.floating_base import AXES, Axis, Base, find_forward
 from gctd3.robots.ground import contact_sensors, velocity_sensors
@@ -61,6 +63,7 @@ class Robot:
         notes: One sentence for each thing that was added to the file or changed.
         held: Angle (rad) of each joint of the file that was fixed, by name.
         written: What a run keeps of it; ``None`` for a model in memory, in other processes and in copies.
+        blueprint: Its uncompiled file; ``None`` for a compiled model in memory, in other processes and in copies.
     """
 
     model: mujoco.MjModel
@@ -76,6 +79,7 @@ class Robot:
     notes: tuple[str, ...] = field(default=(), compare=False)
     held: Mapping[str, float] = field(default_factory=dict, compare=False)
     written: Written | None = field(default=None, compare=False, repr=False)
+    blueprint: Blueprint | None = field(default=None, compare=False, repr=False)
 
     @classmethod
     def from_mjcf(
@@ -96,7 +100,12 @@ class Robot:
             RobotError: If the file is missing, does not parse, or has no one root, no joint or no foot.
         """
         model, file = load_mjcf(source)
-        return cls.from_model(model, file, feet, forward)
+        robot = cls.from_model(model, file, feet, forward)
+        if isinstance(source, mujoco.MjModel):
+            return robot
+        spec = source.copy() if isinstance(source, mujoco.MjSpec) else None
+        read = spec.copy if spec is not None else functools.partial(mujoco.MjSpec.from_file, str(file))
+        return replace(robot, blueprint=Blueprint(read))
 
     @classmethod
     def from_model(
@@ -371,6 +380,11 @@ class Robot:
     @cached_property
     def mirror_checks(self) -> dict[float, MirrorCheck]:
         """Return the verdicts of :func:`.check_mirror` so far, by control period (s)."""
+        return {}
+
+    @cached_property
+    def grounds(self) -> dict[str, Any]:
+        """Return what was built of each uneven ground so far, by a description of the ground."""
         return {}
 
     @cached_property

@@ -27,7 +27,7 @@ def render_run(settings: RenderSettings) -> Path:
     """
     run, out = load_run(settings.run), Path(settings.out)
     task = run.task("film")
-    policy, robot = run.policy(), task.robot
+    policy, robot = run.policy(), task.stage
     # Check all requirements before the walk.
     check_writable(out)
     check_camera(robot, settings.camera)

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -150,6 +150,7 @@ def measure_run(settings: EvaluateSettings) -> Measured:
         **about,
         **result.summary(),
         "gait": {**result.gait(), **(summarize(result.episodes, task.robot, dt) if walks else {})},
+        **({"ground": grounds} if (grounds := result.by_ground()) else {}),
         "seeds": {"training": run.settings.seed, "evaluation": settings.seed},
         "versions": versions(),
     }
@@ -293,6 +294,7 @@ def table(report: dict[str, object]) -> str:
     for label, key, form, spread in rows:
         beside = f"{cell(paper, key, form, spread):>18}" if compared else ""
         lines.append(f"{label:34}{cell(report, key, form, spread):>18}{beside}")
+    lines += ground_table(report)
     gait = report["gait"]
     if not walk and not gait:
         return "\n".join(lines)
@@ -304,6 +306,16 @@ def table(report: dict[str, object]) -> str:
             text = f"{value:.4g}" if value is not None else why_missing(gait, key) if key in OF_STRIDES else "undefined"
             lines.append(f"{quantity(key).title:34}{text:>18}")
     return "\n".join(lines)
+
+
+def ground_table(report: Mapping[str, object]) -> list[str]:
+    """Return the lines of the results on each kind and level of terrain; none on a plane."""
+    rows = report.get("ground")
+    if not isinstance(rows, list) or not rows:
+        return []
+    lines = ["", f"{'ground':24}{'level':>6}{'episodes':>10}{'success':>9}{'falls':>7}{'distance, m':>13}"]
+    form = "{kind:24}{level:>6}{episodes:>10}{success_rate:>9.2f}{fall_rate:>7.2f}{distance_mean:>13.2f}"
+    return lines + [form.format(**row) for row in rows]
 
 
 def _finite(value: object) -> object:

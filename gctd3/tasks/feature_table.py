@@ -137,6 +137,13 @@ class FeatureTable:
                 sign[i, k] = 1.0 if one is None else one.sign
         return source.reshape(-1), sign.reshape(-1)
 
+    def own_deviations(self) -> np.ndarray:
+        """Return the standard deviation of each number's own error in a frame, shape ``[N, F]``."""
+        deviations = np.zeros((self.graph.num_nodes, self.width))
+        for _, feature, nodes, start, width in self._placed:
+            deviations[nodes, start : start + width] = feature.deviation()
+        return deviations
+
     def encoders(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Locate the joints' angles: node, number and index among ``robot.joints`` of each, integers ``[K]``."""
         names = {joint.name: i for i, joint in enumerate(self.robot.joints)}

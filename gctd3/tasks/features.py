@@ -21,7 +21,9 @@ from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.sensors import Source
 from gctd3.tasks.terms import Remembered, RobotFacts
 
-Quantity = Literal["angle", "angular velocity", "length", "velocity", "contact", "command", "direction", "action"]
+Quantity = Literal[
+    "angle", "angular velocity", "length", "velocity", "contact", "command", "direction", "action", "ground"
+]
 QUANTITIES: tuple[str, ...] = get_args(Quantity)
 KINDS = ("root", "base", "joint", "ground")  # of nodes
 
@@ -92,6 +94,17 @@ class NodeFeature(ABC):
     def remembers(self) -> tuple[Remembered, ...]:
         """Return the arrays that the feature needs from step to step, which are in ``Sensed.memory``."""
         return ()
+
+    def check(self, facts: RobotFacts) -> None:  # noqa: B027 - most fit any
+        """Raise a :class:`.ConfigError` if the feature does not fit the robot or its ground."""
+
+    def deviation(self) -> float:
+        """Return the standard deviation of each number's own error in a frame, beside those of its quantity."""
+        return 0.0
+
+    def evaluated(self) -> NodeFeature:
+        """Return the feature of evaluations, such as one without noise."""
+        return self
 
     def mirror_places(self, robot: Robot, nodes: tuple[str, ...]) -> np.ndarray | None:
         """Return the source (node, number) of each number of the mirrored robot, shape ``[nodes, numbers, 2]``.

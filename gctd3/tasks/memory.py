@@ -9,7 +9,10 @@ import numpy as np
 
 from gctd3.errors import ConfigError
 from gctd3.tasks.domain_randomisation import Domain
+from gctd3.tasks.ground import FARTHEST, LANE, LEVELS
+from gctd3.tasks.heading import coordinate
 from gctd3.tasks.measurement import Measurement
+from gctd3.tasks.sensor_noise import OWN_NOISE, SensorNoise
 from gctd3.tasks.term_checks import called, reading
 from gctd3.tasks.terminations import STEPS
 from gctd3.tasks.terms import Command, Remembered, RobotFacts, Step, period
@@ -34,6 +37,7 @@ class EpisodeMemory:
         commands: Commands by name.
         facts: Facts of the robot.
         domain: Differences between robots, if there are any.
+        noise: Errors of the features' own, if there are any.
 
     Raises:
         ConfigError: If two terms remember different arrays by one name.
@@ -45,8 +49,10 @@ class EpisodeMemory:
         commands: Mapping[str, Command],
         facts: RobotFacts,
         domain: Domain | None = None,
+        noise: SensorNoise | None = None,
     ) -> None:
-        self.commands, self.facts, self.domain = commands, facts, domain
+        self.commands, self.facts, self.domain, self.noise = commands, facts, domain, noise
+        self.ground = facts.ground
         requests: dict[str, tuple[str, Remembered]] = {}
         for where, term in {**terms, **{f"task.commands.{name}": one for name, one in commands.items()}}.items():
             for one in called(where, term.remembers):
@@ -56,12 +62,20 @@ class EpisodeMemory:
         self.remembered = {name: one for name, (_, one) in requests.items()}
         self.asked = {name: where for name, (where, _) in requests.items()}
         self.lasting = [name for name, one in self.remembered.items() if one.lasting]
+        if self.ground is not None:
+            self.lasting += [LANE, FARTHEST, LEVELS]
 
     def begin(
-        self, now: Measurement, rng: Generator | None = None, last: Mapping[str, np.ndarray] | None = None
+        self,
+        now: Measurement,
+        rng: Generator | None = None,
+        last: Mapping[str, np.ndarray] | None = None,
+        spot: Mapping[str, np.ndarray] | None = None,
     ) -> Memory:
         """Return the memory at the start of an episode; see :meth:`.SimulatedTask.begin`."""
         memory = {STEPS: np.zeros(now.position.shape, dtype=np.int64)}
+        if self.ground is not None:
+            memory |= spot or self.ground.first(now.position.shape)
         for name, one in self.remembered.items():
             if last is not None and one.lasting:
                 memory[name] = last[name]
@@ -71,6 +85,8 @@ class EpisodeMemory:
             memory |= self._drawn(name, command, now.position.shape, rng, memory)
         if self.domain is not None:
             memory |= self.domain.begin(now.position.shape, _generator(rng))
+        if self.noise is not None:
+            memory[OWN_NOISE] = self.noise.draw(now.position.shape, _generator(rng))
         return memory
 
     def advance(self, step: Step, rng: Generator | None = None) -> Memory:
@@ -82,6 +98,10 @@ class EpisodeMemory:
             after |= self._next(name, command, before, rng, after)
         if self.domain is not None:
             after |= self.domain.advance(before, step.action, _generator(rng))
+        if self.ground is not None:
+            after |= self.ground.advance(before, step.now, coordinate(step.now, self.facts, "side"))
+        if self.noise is not None:
+            after[OWN_NOISE] = self.noise.draw(step.now.position.shape, _generator(rng))
         return after
 
     def check(self, first: Memory, step: Step) -> None:

@@ -14,6 +14,7 @@ Source = Literal[
     "IMU orientation",
     "foot contact switch",
     "state estimator",
+    "height map",
     "command",
     "last action",
     "clock",

@@ -23,15 +23,18 @@ from gctd3.tasks.domain_randomisation import NOISE, Domain, DomainRandomisation
 from gctd3.tasks.feature_table import FeatureTable
 from gctd3.tasks.features import NodeFeature, Sensed
 from gctd3.tasks.gait_clock import GaitClock
+from gctd3.tasks.ground import ORIGIN, Ground
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.memory import EpisodeMemory, Generator, Memory
 from gctd3.tasks.outcome import Outcome
 from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.reward import Reward
+from gctd3.tasks.sensor_noise import OWN_NOISE, SensorNoise
 from gctd3.tasks.task import Ability, TaskSettings
 from gctd3.tasks.term_checks import called, check_mapping, check_terms, reading, trying
 from gctd3.tasks.terminations import MOST_STEPS, STEPS, TimeLimit
 from gctd3.tasks.terms import Array, Command, Randomisation, RobotFacts, Step, Termination
+from gctd3.tasks.terrain import Terrain
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,7 @@ class Composition(TaskSettings):
         commands: Commands to the robot.
         privileged: Features of the nodes that only critics observe, beside the clocks of the terminations.
         domain_randomisation: Differences between robots in a training; ``None`` for none.
+        terrain: The ground; ``None`` for the plane of the robot's file.
     """
 
     control_dt: float = 0.02
@@ -55,6 +59,7 @@ class Composition(TaskSettings):
     commands: Mapping[str, Any] = field(default_factory=dict)
     privileged: Mapping[str, Any] = field(default_factory=dict)
     domain_randomisation: DomainRandomisation | None = None
+    terrain: Terrain | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -85,6 +90,10 @@ class SimulatedTask:
         settings: The other terms of the task.
         graph: The robot's graph; its tree if ``None``.
 
+    Attributes:
+        ground: The terrain; ``None`` for a plane.
+        stage: The robot on the task's ground, which is simulated and drawn; on a plane the robot itself.
+
     Raises:
         RobotError: If the robot does not meet the requirements of :meth:`.Robot.check_walking`.
         ConfigError: If a term does not fit the robot or another term.
@@ -105,7 +114,8 @@ class SimulatedTask:
         check_kind("settings", settings, Composition)
         if not reward.terms:
             raise ConfigError("reward.terms must hold at least one term, got none.")
-        self.robot, self.reward, self.settings = robot, reward, settings
+        self.robot: Robot = robot
+        self.reward, self.settings = reward, settings
         self.control_dt, self.history = settings.control_dt, settings.history
         robot.check_walking()
         self.graph = graph if graph is not None else KinematicGraph.from_robot(robot)
@@ -117,13 +127,17 @@ class SimulatedTask:
     def _compose(self) -> None:
         """Take the terms that fit the robot, and run each of them once."""
         robot, settings = self.robot, self.settings
-        self.facts = RobotFacts.from_robot(robot, self.graph, self.control_dt)
+        self.ground = None if settings.terrain is None else Ground(settings.terrain, robot)
+        self.stage: Robot = robot if self.ground is None else self.ground.robot
+        self.facts = RobotFacts.from_robot(robot, self.graph, self.control_dt, self.ground)
         features = {n: f for n, f in settings.features.items() if f is not None}
         self.table = FeatureTable(features, robot, self.graph)
         self.features = self.table.width
         privileged = {n: f for n, f in settings.privileged.items() if f is not None}
         key = "task.privileged"
         self.privileged = FeatureTable(privileged, robot, self.graph, key) if privileged else None
+        for name, one in {**_named("task.features", features), **_named(key, privileged)}.items():
+            self._check_feature(name, one)
         self.terminations = self._fitting("task.terminations", settings.terminations)
         commands = self._fitting("task.commands", settings.commands)
         self.commands = {n: called(f"task.commands.{n}", one.fitted, self.facts) for n, one in commands.items()}
@@ -131,15 +145,17 @@ class SimulatedTask:
         self.terms = self._reward_terms()
         ends = {f"task.terminations.{name}": term for name, term in self.terminations.items()}
         terms = {f"reward.terms.{name}": term for name, term in self.terms.items()}
-        sensed = {f"task.features.{name}": one for name, one in features.items()}
-        sensed |= {f"task.privileged.{name}": one for name, one in privileged.items()}
+        sensed = {**_named("task.features", features), **_named(key, privileged)}
         asked = settings.domain_randomisation
         servos = self.facts.servos.joints
         self.domain = None if asked is None else Domain(asked, robot, self.table, servos, self.control_dt)
         if self.domain is not None:
             # Each robot of a batch has a model of its own there.
             self.backends = ("batched",)
-        self.memory = EpisodeMemory({**terms, **ends, **sensed}, self.commands, self.facts, self.domain)
+        noise = SensorNoise(self.table.own_deviations())
+        self.memory = EpisodeMemory(
+            {**terms, **ends, **sensed}, self.commands, self.facts, self.domain, noise if noise.any else None
+        )
         clocks = [feature for feature in features.values() if isinstance(feature, GaitClock)]
         self.gait = clocks[0].pattern(robot) if clocks else None
         self._base = robot.base
@@ -155,6 +171,12 @@ class SimulatedTask:
         self.time_limit, self.endless = min(limits, default=MOST_STEPS), not limits
         self.num_counters = 0
         self._try()
+
+    def _check_feature(self, where: str, feature: NodeFeature) -> None:
+        try:
+            called(where, feature.check, self.facts)
+        except ConfigError as error:
+            raise ConfigError(f"{where}.{error}") from error
 
     def _fitting(self, where: str, terms: Mapping[str, Any]) -> dict[str, Any]:
         given = {name: term for name, term in terms.items() if term is not None}
@@ -222,10 +244,21 @@ class SimulatedTask:
 
     # Measuring.
 
-    def measure(self, qpos: np.ndarray, qvel: np.ndarray, sensordata: np.ndarray) -> Measurement:
-        """Return the measurement of a simulator's ``qpos [*, nq]``, ``qvel [*, nv]`` and ``sensordata [*, ns]``."""
+    def measure(
+        self, qpos: np.ndarray, qvel: np.ndarray, sensordata: np.ndarray, spot: Mapping[str, np.ndarray] | None = None
+    ) -> Measurement:
+        """Return the measurement of a simulator's state.
+
+        Args:
+            qpos: Generalised positions, shape ``[*, nq]``.
+            qvel: Generalised velocities, shape ``[*, nv]``.
+            sensordata: Readings of the sensors, shape ``[*, ns]``.
+            spot: Memory, which holds where on the terrain the episodes began; ``None`` for its first lane.
+        """
         read = self._base.read(qpos, qvel)
         place = {name: np.asarray(value - self._standing[name]) for name, (value, _) in read.items()}
+        if self.ground is not None:
+            place = self.ground.relative(place, spot)
         if self.facts.base:
             base = np.stack([np.stack([place[name], read[name][1]], axis=-1) for name in self.facts.base], axis=-2)
             upright = np.cos(place.get("roll", 0.0)) * np.cos(place.get("pitch", 0.0))
@@ -255,7 +288,10 @@ class SimulatedTask:
     def node_features(self, now: Measurement, memory: Memory | None = None) -> np.ndarray:
         """Return the features of every node in one frame, ``float32 [*, N, F]``; see :class:`.FeatureTable`."""
         nodes = self.table(Sensed(now, memory or {}, self.facts))
-        return nodes if memory is None or NOISE not in memory else nodes + memory[NOISE]
+        for noise in (NOISE, OWN_NOISE):
+            if memory is not None and noise in memory:
+                nodes = nodes + memory[noise]
+        return nodes
 
     def phase(self, nodes: Array) -> Array:
         """Return the phase that a task with a clock shows in observations, in periods from an episode's start.
@@ -311,15 +347,39 @@ class SimulatedTask:
 
     # Episodes.
 
+    def place(
+        self, rng: Generator, shape: tuple[int, ...], last: Mapping[str, np.ndarray] | None = None
+    ) -> dict[str, np.ndarray]:
+        """Draw where on the terrain robots of a shape begin an episode; empty on a plane.
+
+        Args:
+            rng: Generator.
+            shape: The robots' dimensions.
+            last: Memory at the end of their last episodes; ``None`` for none.
+        """
+        return {} if self.ground is None else self.ground.draw(rng, shape, last)
+
+    def first(self) -> dict[str, np.ndarray]:
+        """Return where on the terrain one robot begins on its first lane; empty on a plane."""
+        return {} if self.ground is None else self.ground.first(())
+
+    def put(self, qpos: np.ndarray, spot: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Move one robot's initial pose ``[nq]`` to where :meth:`place` lets it begin."""
+        return qpos if self.ground is None else self.ground.put(qpos, spot[ORIGIN])
+
     def start(self, rng: Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Draw the initial pose ``[nq]`` and velocities ``[nv]`` of one robot."""
+        """Draw the initial pose ``[nq]`` and velocities ``[nv]`` of one robot, at the world's origin."""
         qpos, qvel = self.robot.start_qpos.copy(), np.zeros(self.robot.model.nv)
         for name, randomise in self.randomisations.items():
             qpos, qvel = called(f"task.randomisations.{name}", randomise, rng, self.robot, qpos, qvel)
         return qpos, qvel
 
     def begin(
-        self, now: Measurement, rng: Generator | None = None, last: Mapping[str, np.ndarray] | None = None
+        self,
+        now: Measurement,
+        rng: Generator | None = None,
+        last: Mapping[str, np.ndarray] | None = None,
+        spot: Mapping[str, np.ndarray] | None = None,
     ) -> Memory:
         """Return the memory at the start of an episode.
 
@@ -327,8 +387,9 @@ class SimulatedTask:
             now: The first measurement of the episode.
             rng: Generator of commands; a task without commands needs none.
             last: Memory at the end of the robots' last episode, of which lasting arrays are kept; ``None`` for none.
+            spot: Where on the terrain they begin, of :meth:`place`; ``None`` for its first lane.
         """
-        return self.memory.begin(now, rng, last)
+        return self.memory.begin(now, rng, last, spot)
 
     def advance(
         self,
@@ -383,10 +444,14 @@ class SimulatedTask:
     def evaluated(self, reward: Reward) -> SimulatedTask:
         """Return the same task as policies are evaluated on it.
 
-        It is under a reward, with commands without a curriculum, and on the robot of the file.
+        It is under a reward, with commands and terrain without a curriculum, on the robot of the file, and with exact
+        sensors.
         """
-        commands = {n: one if one is None else one.evaluated() for n, one in self.settings.commands.items()}
-        settings = replace(self.settings, commands=commands, domain_randomisation=None)
+        given = self.settings
+        commands = {n: one if one is None else one.evaluated() for n, one in given.commands.items()}
+        features = {n: one if one is None else one.evaluated() for n, one in given.features.items()}
+        terrain = None if given.terrain is None else replace(given.terrain, curriculum=False)
+        settings = replace(given, commands=commands, features=features, terrain=terrain, domain_randomisation=None)
         return type(self)(self.robot, reward, settings, self.graph)
 
     def with_commands(self, commands: Mapping[str, Command], steps: int | None = None) -> SimulatedTask:
@@ -401,7 +466,16 @@ class SimulatedTask:
         """Return the same task on a changed robot that has the same graph."""
         return type(self)(robot, self.reward, self.settings, self.graph)
 
+    def on_plane(self) -> SimulatedTask:
+        """Return the same task on the plane of the robot's file."""
+        settings = replace(self.settings, terrain=None)
+        return type(self)(self.robot, self.reward, settings, self.graph) if self.settings.terrain is not None else self
+
     def without_end(self) -> SimulatedTask:
         """Return the same task with fatal terminations only, after which the robot could not continue."""
         kept = {n: term if term is not None and term.fatal else None for n, term in self.settings.terminations.items()}
         return type(self)(self.robot, self.reward, replace(self.settings, terminations=kept), self.graph)
+
+
+def _named(key: str, terms: Mapping[str, Any]) -> dict[str, Any]:
+    return {f"{key}.{name}": term for name, term in terms.items()}

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from array_api_compat import array_namespace
@@ -24,6 +24,9 @@ from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.nodes import foot_slots
 from gctd3.robots.robot import Robot
 from gctd3.tasks.measurement import Measurement
+
+if TYPE_CHECKING:
+    from gctd3.tasks.ground import Ground
 
 Array = Any  # of NumPy or of PyTorch
 
@@ -92,6 +95,7 @@ class RobotFacts:
         leg_length: Height of the hips above the ground when standing, the mean over legs (m).
         foot_velocities: Whether the velocities of the feet are measured.
         servos: Numbers of the servos.
+        ground: The terrain; ``None`` for a plane.
     """
 
     control_dt: float
@@ -112,10 +116,13 @@ class RobotFacts:
     leg_length: float
     foot_velocities: bool
     servos: ServoFacts
+    ground: Ground | None = None
 
     @classmethod
-    def from_robot(cls, robot: Robot, graph: KinematicGraph, control_dt: float) -> RobotFacts:
-        """Build the facts of a robot and the nodes of its graph."""
+    def from_robot(
+        cls, robot: Robot, graph: KinematicGraph, control_dt: float, ground: Ground | None = None
+    ) -> RobotFacts:
+        """Build the facts of a robot, the nodes of its graph and its terrain."""
         names = [joint.name for joint in robot.joints]
         pairs = [(i, k) for i, k in enumerate(robot.mirror_feet) if i < k]
         return cls(
@@ -137,6 +144,7 @@ class RobotFacts:
             leg_length=robot.leg_length,
             foot_velocities=robot.foot_velocity_sensors is not None,
             servos=ServoFacts.from_robot(robot),
+            ground=ground,
         )
 
     def soft_range(self, share: float) -> tuple[np.ndarray, np.ndarray]:

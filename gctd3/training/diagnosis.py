@@ -92,14 +92,15 @@ def why_it_ends(task: SimulatedTask, seed: int) -> str:
 def _episodes(task: SimulatedTask, seed: int) -> Iterator[tuple[mujoco.MjModel, mujoco.MjData, int]]:
     """Yield model and data at the start of each episode, as step -1, and after each control step."""
     robot, rng = task.robot, np.random.default_rng(seed)
-    model = copy.deepcopy(robot.model)
+    model = copy.deepcopy(task.stage.model)
     # The state in which it warns is looked at, so it must stay.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     substeps = substeps_of(task.control_dt, robot)
     data = mujoco.MjData(model)
     for _ in range(ATTEMPTS):
         mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:] = task.start(rng)
+        qpos, data.qvel[:] = task.start(rng)
+        data.qpos[:] = task.put(qpos, task.first())
         rest_servos(model, data)
         mujoco.mj_forward(model, data)
         yield model, data, -1

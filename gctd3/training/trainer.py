@@ -125,7 +125,7 @@ class Trainer:
     def _begin_from_a_run(self) -> None:
         """Copy the networks of the run that ``init`` names, if it names one."""
         if self.settings.init is not None:
-            frames = begin_from(self.algorithm, Path(self.settings.init))
+            frames = begin_from(self.algorithm, Path(self.settings.init), self.setup)
             print(f"Networks begin as {quoted(self.settings.init)} had them after {frames:,} frames.", flush=True)
 
     @property

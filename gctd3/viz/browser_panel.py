@@ -18,9 +18,10 @@ from viser import uplot
 from gctd3.errors import GCTD3Error
 from gctd3.evaluation.recorder import total_mass
 from gctd3.viz.command_panel import add_command_controls, commanded
-from gctd3.viz.film import MARKS, start_point
+from gctd3.viz.film import MARK, MARKS, start_point
 from gctd3.viz.live_session import LiveWalk, Moment
 from gctd3.viz.scenery import with_scenery
+from gctd3.viz.terrain_view import mark_height, name_of, start_of
 
 FRAME = 1 / 30  # between pictures (s)
 PLOT = 0.2  # between traces (s)
@@ -117,7 +118,15 @@ class Panel:
     def _reset(self) -> None:
         self.seed += 1
         self._trace.clear()
+        if self.live.task.ground is not None:  # the next episode may begin elsewhere
+            self._forget_marks()
         self._remember(self.live.reset(self.seed))
+
+    def _forget_marks(self) -> None:
+        for handles in self._metres.values():
+            for handle in handles:
+                handle.remove()
+        self._metres.clear()
 
     # The page.
 
@@ -134,6 +143,7 @@ class Panel:
         self._scene.show_contact_points = True
         self._origin = start_point(live.robot)
         self._metres: dict[int, tuple[viser.SceneNodeHandle, ...]] = {}
+        self._rays: viser.PointCloudHandle | None = None
         self._controls(run)
         self._show()
 
@@ -241,11 +251,24 @@ class Panel:
                 handle.remove()
         for metre in wanted - self._metres.keys():
             self._metres[metre] = self._mark(metre)
+        self._show_rays(now.rays.astype(np.float32))
         self._status.content = self._words(now)
+
+    def _show_rays(self, points: np.ndarray) -> None:
+        if not len(points):
+            return
+        if self._rays is None:
+            # A child of the ground's scene node, as the marks are.
+            name, colour = "/fixed_bodies/rays", (217, 46, 38)
+            self._rays = self.server.scene.add_point_cloud(name, points, colour, point_size=0.025, point_shape="circle")
+        else:
+            self._rays.points = points
 
     def _mark(self, metre: int) -> tuple[viser.SceneNodeHandle, ...]:
         forward, side, up = self.live.robot.base.frame
-        place = self._origin + metre * forward + 2e-3 * up
+        start = start_of(self.live.task, self.live.simulation.memory)
+        above = mark_height(self.live.task.ground, start + np.array([metre, 0.0]), MARK)
+        place = self._origin + start @ self.live.robot.base.frame[:2] + metre * forward + (above + 2e-3) * up
         # Children of the ground's scene node, which moves when the camera follows.
         name, ends = f"/fixed_bodies/metre_{metre}", np.stack([place - 0.6 * side, place + 0.6 * side])
         # A dark line on a wider bright one, so that it is seen on any ground.
@@ -263,6 +286,7 @@ class Panel:
             [("distance", f"{now.position:.2f} m"), ("speed", f"{now.velocity:.2f} m/s")],
             [("height", f"{now.height:+.3f} m"), ("reward", f"{now.reward:.2f}")],
             [("return", f"{now.total:.0f}")],
+            *([[("ground", ground)]] if (ground := name_of(self.live.task, self.live.simulation.memory)) else []),
             *commanded(now),
         ]
         cells = ["".join(f"<td>{key}</td><td class='{key}'><b>{text}</b></td>" for key, text in row) for row in rows]

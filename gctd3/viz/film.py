@@ -7,7 +7,7 @@ import importlib.util
 import io
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import mujoco
@@ -19,15 +19,18 @@ from gctd3.errors import ConfigError, RenderError
 from gctd3.files import new_file
 from gctd3.robots.geometry import lowest_point
 from gctd3.robots.robot import Robot
+from gctd3.tasks.ground import Ground
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.viz.live_session import LiveWalk, Moment, foot_geoms
 from gctd3.viz.offscreen import Canvas, find_backend
 from gctd3.viz.scenery import light_up
+from gctd3.viz.terrain_view import draw_rays, mark_height, name_of, start_of
 
 FPS = 25  # GIF players show 25 frames a second well, 50 badly
 # Views of a robot whose MJCF names no such camera: azimuth from its forward axis, elevation (degrees).
 VIEWS = {"side": (90.0, -8.0), "three_quarter": (130.0, -18.0)}
 CLIP, CLIP_SIZE = 5.0, (320, 240)  # of a training's policies (s; pixels)
+MARK = 0.6  # half the length of a mark (m)
 MARKS = range(-3, 8)  # metres that are marked, from the last one walked
 _INK, _PAPER = (30, 30, 30), (255, 255, 255)  # of the numbers, and around them: readable on any ground
 _PAINT, _EDGE = (np.array(colour, np.float32) for colour in ([0.25, 0.27, 0.30, 1.0], [0.9, 0.91, 0.92, 1.0]))
@@ -42,12 +45,20 @@ class Walk:
         velocity: Forward velocity, shape ``[T]`` (m/s).
         position: Distance walked, shape ``[T]`` (m).
         reward: Reward of the step, shape ``[T]``.
+        rays: Where the rays of height scans meet the terrain, shape ``[T, K, 3]`` (m); ``None`` without terrain.
+        origin: Place on the terrain from which distance counts, shape ``[2]`` (m).
+        ground: The terrain; ``None`` for a plane.
+        words: Kind and level of the terrain in words.
     """
 
     qpos: np.ndarray
     velocity: np.ndarray
     position: np.ndarray
     reward: np.ndarray
+    rays: np.ndarray | None = None
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    ground: Ground | None = None
+    words: str = ""
 
     @property
     def total(self) -> np.ndarray:
@@ -59,6 +70,8 @@ def record(policy: TensorDictModuleBase, task: SimulatedTask, seed: int, most_st
     """Record one episode of a policy, or its first ``most_steps`` control steps."""
     live = LiveWalk(policy, task, seed)
     rows: list[Moment] = []
+    memory = live.simulation.memory
+    origin, words = start_of(task, memory), name_of(task, memory)
     while not live.now.done and (most_steps is None or len(rows) < most_steps):
         rows.append(live.step())
     return Walk(
@@ -66,6 +79,10 @@ def record(policy: TensorDictModuleBase, task: SimulatedTask, seed: int, most_st
         np.array([row.velocity for row in rows]),
         np.array([row.position for row in rows]),
         np.array([row.reward for row in rows]),
+        np.stack([row.rays for row in rows]),
+        origin,
+        task.ground,
+        words,
     )
 
 
@@ -103,7 +120,7 @@ def draw(
     """
     check_camera(robot, camera)
     model, data, font = robot.model, mujoco.MjData(robot.model), ImageFont.load_default(13)
-    origin, total = start_point(robot), walk.total
+    origin, total = start_point(robot) + walk.origin @ robot.base.frame[:2], walk.total
     with Canvas(model, *size) as canvas:
         for step in steps:
             data.qpos[:] = walk.qpos[step]
@@ -111,12 +128,17 @@ def draw(
             canvas.look(data, _camera(robot, data, camera))
             light_up(canvas.scene, data.subtree_com[robot.base.root])
             for metre in MARKS:
-                _mark(canvas.scene, robot, origin, int(walk.position[step]) + metre, words)
+                number = int(walk.position[step]) + metre
+                above = mark_height(walk.ground, walk.origin + np.array([number, 0.0]), MARK)
+                _mark(canvas.scene, robot, origin + np.array([0.0, 0.0, above]), number, words)
+            if walk.rays is not None:
+                draw_rays(canvas.scene, walk.rays[step])
             frame = Image.fromarray(canvas.draw())
             if words:
                 text = (
                     f"{(step + 1) * dt:.2f} s   {walk.position[step]:.2f} m   {walk.velocity[step]:.2f} m/s\n"
                     f"reward {walk.reward[step]:.2f}   return {total[step]:.0f}"
+                    + (f"\n{walk.words}" if walk.words else "")
                 )
                 ImageDraw.Draw(frame).text((8, 6), text, fill=_INK, font=font, stroke_width=2, stroke_fill=_PAPER)
             yield frame
@@ -138,7 +160,7 @@ def _mark(scene: mujoco.MjvScene, robot: Robot, origin: np.ndarray, metre: int, 
     forward, side, up = robot.base.frame
     # A millimetre above the ground, or the two would flicker.
     place, turn = origin + metre * forward + 1e-3 * up, np.stack([forward, side, up], axis=1)
-    half = np.array([0.01 if metre % 5 else 0.025, 0.6, 5e-4])
+    half = np.array([0.01 if metre % 5 else 0.025, MARK, 5e-4])
     # A dark line on a wider bright one, so that it is seen on any ground.
     for more, above, colour in ((0.012, 0.0, _EDGE), (0.0, 1e-3, _PAINT)):
         line, size = scene.geoms[scene.ngeom], half + np.array([more, more, 0.0])
@@ -184,7 +206,7 @@ def clip(policy: TensorDictModuleBase, task: SimulatedTask, seed: int) -> list[I
     """Render the first :data:`CLIP` seconds of a policy's walk, :data:`FPS` frames a second in real time."""
     dt = task.control_dt
     walk = record(policy, task, seed, round(CLIP / dt))
-    return list(draw(walk, task.robot, np.arange(0, len(walk.qpos), stride(1.0, dt)), "side", CLIP_SIZE, dt))
+    return list(draw(walk, task.stage, np.arange(0, len(walk.qpos), stride(1.0, dt)), "side", CLIP_SIZE, dt))
 
 
 def check_film() -> None:

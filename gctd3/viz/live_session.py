@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -19,6 +19,7 @@ from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.tasks.terminations import MOST_STEPS
 from gctd3.tasks.velocity_command import SWAY, VELOCITY, velocities
 from gctd3.tasks.velocity_features import COMMANDS
+from gctd3.viz.terrain_view import ray_points
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
 
@@ -49,6 +50,7 @@ class Moment:
             task without it.
         moved: The robot's velocities of the same kind, averaged over half a second, shape ``[3]``; ``None`` for a task
             without commands.
+        rays: Where the rays of height scans meet the terrain, shape ``[K, 3]`` (m, in the world).
     """
 
     qpos: np.ndarray
@@ -64,6 +66,7 @@ class Moment:
     success: bool = False
     command: np.ndarray | None = None
     moved: np.ndarray | None = None
+    rays: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 class LiveWalk:
@@ -86,8 +89,8 @@ class LiveWalk:
         task: SimulatedTask,
         seed: int,
     ) -> None:
-        self.policy, self.robot, self.control_dt = policy, task.robot, task.control_dt
-        robot = task.robot
+        self.policy, self.task, self.robot, self.control_dt = policy, task, task.stage, task.control_dt
+        robot = task.stage
         # TorchRL seeds the global generator along with the environment's: a fork keeps that out of a training.
         with torch.random.fork_rng(devices=[]):
             self._env = build_env(task, EnvSettings(num_envs=1, threads=1), seed)
@@ -177,6 +180,7 @@ class LiveWalk:
             success=success,
             command=self.simulation.memory[VELOCITY][0].copy() if VELOCITY in self.simulation.memory else None,
             moved=self._average(),
+            rays=ray_points(self.task, here, self.simulation.memory),
         )
 
     def show(self) -> mujoco.MjData:

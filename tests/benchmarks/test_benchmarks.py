@@ -23,6 +23,7 @@ BENCHED = [
     "scale_out",
     "scaling",
     "ship_policy",
+    "terrain_cost",
     "time_to_gait",
 ]
 

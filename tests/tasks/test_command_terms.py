@@ -16,7 +16,7 @@ DT = 0.02
 
 
 def memory_of(**commands):
-    return EpisodeMemory({}, commands, SimpleNamespace(control_dt=DT))
+    return EpisodeMemory({}, commands, SimpleNamespace(control_dt=DT, ground=None))
 
 
 def after(memory, before, rng):

@@ -5,7 +5,9 @@ import re
 import pytest
 import torch
 from running import Recorded, command, tiny
+from tensordict import TensorDict
 
+from gctd3.runs.load import load_run
 from gctd3.training.checkpoint import Checkpoints
 
 
@@ -62,3 +64,44 @@ def test_there_must_be_a_checkpoint(tmp_path, capsys, where):
     (tmp_path / "empty").mkdir()
     assert command("train", *tiny(tmp_path / "run", f"init={tmp_path / where}")) == 2
     assert f"init={tmp_path / where}" in capsys.readouterr().err
+
+
+SIGHT = ["terrain=rough", "task.terrain.levels=1", "task.terrain.length=4", "sight=policy"]
+
+
+@pytest.mark.parametrize("name", ["gctd3", "td3"])
+def test_a_flat_policy_begins_on_terrain_with_sight_as_it_was(tmp_path, finished, name):
+    """With graph layers and without: new inputs have no effect yet, for the actor and for both critics."""
+    given = finished[name]
+    still = ["exploration.learning_starts=83", "total_frames=83", f"algo={name}"]
+    assert command("train", *tiny(tmp_path / "run", *still, *SIGHT, f"init={given}", "seed=7")) == 0
+    old, new = load_run(given), load_run(tmp_path / "run")
+    nodes, count = old.setup.graph.num_nodes, old.setup.task.features
+    wide = torch.randn(5, nodes, new.setup.task.history, new.setup.task.features)
+    narrow = wide[..., :count].flatten(-2)
+    action, counters = torch.rand(5, 6), torch.rand(5, old.setup.task.num_counters)
+    algorithms = []
+    for run, seen in ((old, narrow), (new, wide.flatten(-2))):
+        algorithm = run.settings.algo.build(run.setup.architecture())
+        algorithm.loss.load_state_dict(networks(run.directory))
+        value = {"nodes": seen, "action": action, "counters": counters}
+        params = algorithm.loss.qvalue_network_params
+        with torch.no_grad(), params[0].to_module(algorithm.loss.qvalue_network):
+            q = algorithm.loss.qvalue_network(TensorDict(value, [5]))["state_action_value"]
+        with torch.no_grad(), algorithm.loss.actor_network_params.to_module(algorithm.loss.actor_network):
+            chosen = algorithm.loss.actor_network(TensorDict({"nodes": seen}, [5]))["action"]
+        algorithms.append((chosen, q))
+    for one, other in zip(*algorithms, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=1e-5)
+
+
+def test_critics_alone_may_see_more_than_before(tmp_path, finished):
+    """Their privileged input grows by the scan's 18 rays, whose weights are zero."""
+    still = ["exploration.learning_starts=83", "total_frames=83"]
+    blind = [*SIGHT[:-1], "sight=critic"]
+    assert command("train", *tiny(tmp_path / "run", *still, *blind, f"init={finished['gctd3']}")) == 0
+    given, wider = networks(finished["gctd3"]), networks(tmp_path / "run")
+    (name,) = [n for n in given if n.startswith("qvalue") and given[n].shape != wider[n].shape]
+    count = given[name].shape[-1]
+    assert wider[name].shape[-1] == count + 18
+    assert torch.equal(wider[name][..., :count], given[name]) and not wider[name][..., count:].any()
