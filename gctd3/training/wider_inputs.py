@@ -14,7 +14,7 @@ from gctd3.setup.setup import Setup
 
 
 class WiderInputs:
-    """Relate the inputs of the networks of one setup to those of another, which has all of them and more.
+    """Map the inputs of the networks of one setup to those of another, which has all of them and more.
 
     Args:
         old: The setup of which the weights are.
