@@ -34,7 +34,7 @@ class Bounds:
 
     @classmethod
     def of(cls, walks: Sequence[Walk], leg: float, dt: float) -> Bounds:
-        """Derive the bounds from MuJoCo's walks and the length of the robot's legs (m)."""
+        """Compute the bounds from MuJoCo's walks and the length of the robot's legs (m)."""
         return cls(
             height=max(0.5 * leg, *(2 * float(walk.height.max()) for walk in walks)),
             speed=max(1.0, *(3 * _fastest(walk, dt) for walk in walks)),
