@@ -184,7 +184,7 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - any of the names above
     try:
         return getattr(import_module(home), name)
     except ImportError as error:
-        from gctd3.requirements import why_no_mujoco
+        from gctd3.config.requirements import why_no_mujoco
 
         if reason := why_no_mujoco(error):
             from gctd3.errors import PackageError

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from gctd3.config.requirements import check_dm_control
 from gctd3.errors import PackageError
-from gctd3.requirements import check_dm_control
 
 
 @functools.cache

@@ -28,11 +28,11 @@ from gctd3.compat import own_launcher
 from gctd3.config.fields import TARGET, find, is_settings, meanings
 from gctd3.config.help import CONF, choices, command_of, conf, fail, unread
 from gctd3.config.paths import literal_paths
+from gctd3.config.requirements import why_no_mujoco
 from gctd3.config.suggestions import nearest
 from gctd3.config.terminal import prepare_output
 from gctd3.errors import ConfigError, GCTD3Error, PackageError, RobotError, RunError, suggest
 from gctd3.files import remove_empty, title
-from gctd3.requirements import why_no_mujoco
 from gctd3.signals import Interruption
 
 _NULL = "null"

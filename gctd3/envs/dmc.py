@@ -11,10 +11,10 @@ import mujoco as mujoco_api
 import numpy as np
 from torchrl.envs import DMControlWrapper
 
+from gctd3.config.requirements import check_dm_control
 from gctd3.envs.asked import AnyRobot, ask_simulated
 from gctd3.envs.mujoco_state import integration_state, load_integration_state
 from gctd3.envs.simulation import substeps_of
-from gctd3.requirements import check_dm_control
 from gctd3.robots.actuators import rest_servos
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.memory import Memory

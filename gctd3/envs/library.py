@@ -11,10 +11,10 @@ import numpy as np
 from torchrl.envs import DMControlEnv, EnvBase, GymEnv
 
 from gctd3.compat import replace_wrapped_env, wrapped_env
+from gctd3.config.requirements import check_dm_control
 from gctd3.envs.library_robots import LibraryRobots, observed
 from gctd3.envs.nodes import STATIC, NodeSensor, simulator
 from gctd3.errors import ConfigError, check_kind
-from gctd3.requirements import check_dm_control
 from gctd3.robots.floating_base import Axis
 from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.graph import KinematicGraph

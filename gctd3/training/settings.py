@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 from gctd3.algorithms.settings import AlgorithmSettings, ImitationSettings
+from gctd3.config.requirements import check_dm_control
 from gctd3.data.settings import ExplorationSettings, InlineSettings, ProcessSettings, ReplaySettings
 from gctd3.envs.settings import MOST_ROBOTS, MOST_THREADS, EnvSettings
 from gctd3.envs.simulation import substeps_of
 from gctd3.errors import ConfigError, check_between, check_seed
 from gctd3.nn.settings import NetworkSettings
-from gctd3.requirements import check_dm_control
 from gctd3.robots.settings import GivenRobot, RobotSettings
 from gctd3.setup.setup import Setup
 from gctd3.tasks.reward import Reward

@@ -17,7 +17,7 @@ import gctd3
 ROOT = Path(gctd3.__file__).parent
 # Rooms from the bottom up: a module imports from its own room and from those below it. At the top level stand the
 # foundations, which everything may use, and the commands, which nothing may.
-FOUNDATIONS = ("errors", "files", "signals", "compat", "progress", "requirements")
+FOUNDATIONS = ("errors", "files", "signals", "compat", "progress")
 ROOMS = (
     "config",
     "robots",
@@ -40,7 +40,7 @@ ROOMS = (
 )
 DOORS = ("train", "evaluate", "view", "render", "export", "graph", "ros", "report", "crosscheck", "__main__")
 ASSETS = ("conf", "models")  # installed with the package, and not Python
-MOST_FILES, MOST_LINES = 17, 60  # at the top level; of a command
+MOST_FILES, MOST_LINES = 16, 60  # at the top level; of a command
 HEAVY = ("hydra", "dm_control", "torch", "torchrl", "mujoco", "gymnasium", "numpy")
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from running import command
 
-import gctd3.requirements
+import gctd3.config.requirements
+from gctd3.config.requirements import check_dm_control, requirement, why_no_mujoco
 from gctd3.errors import PackageError
-from gctd3.requirements import check_dm_control, requirement, why_no_mujoco
 
 ROOT = Path(__file__).parents[2]
 PYTHONS = ("3.10", "3.11", "3.12", "3.13", "3.14")
@@ -45,7 +45,7 @@ def test_a_requirement_is_that_of_this_python(monkeypatch):
         "mujoco!=4.0.0,>=3.17; python_version >= '3'",
         "x; extra == 'x'",
     ]
-    monkeypatch.setattr(gctd3.requirements, "requires", lambda _: declared)
+    monkeypatch.setattr(gctd3.config.requirements, "requires", lambda _: declared)
     assert set(requirement("mujoco").removeprefix("mujoco").split(",")) == {"!=4.0.0", ">=3.17"}
     assert requirement("x") == "x" and requirement("unheard_of") == "unheard_of"
 
@@ -61,7 +61,7 @@ def without_dm_control(monkeypatch):
     "python, cure", [((3, 13), "available up to Python 3.12, and this is 3.13."), ((3, 12), "pip ")]
 )
 def test_a_missing_dm_control_is_named_with_its_cure(without_dm_control, monkeypatch, python, cure):
-    monkeypatch.setattr(gctd3.requirements.sys, "version_info", (*python, 0))
+    monkeypatch.setattr(gctd3.config.requirements.sys, "version_info", (*python, 0))
     with pytest.raises(PackageError, match="it needs dm_control, which is not installed: ") as error:
         check_dm_control("it")
     assert cure in str(error.value) and "\n" not in str(error.value)
@@ -83,7 +83,7 @@ def test_a_dm_control_that_does_not_fit_is_named(monkeypatch):
     def broken(name):
         raise AttributeError("flex_vertedge")
 
-    monkeypatch.setattr(gctd3.requirements, "import_module", broken)
+    monkeypatch.setattr(gctd3.config.requirements, "import_module", broken)
     with pytest.raises(
         PackageError, match=r"dm_control [\d.]+ cannot be imported with mujoco [\d.]+ \(flex_vertedge\)"
     ):
