@@ -1,8 +1,9 @@
 """The buffer of single frames gives the same transitions as the stacks that the environment delivered."""
 
-import os
+import mmap
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from thinned import parametrize
@@ -12,7 +13,8 @@ from gctd3.data.frame_buffer import FrameBuffer
 from gctd3.data.replay import ENDS, KEPT, StackedBuffer
 from gctd3.errors import ConfigError
 
-STATM = Path("/proc/self/statm")
+PAGEMAP = Path("/proc/self/pagemap")
+PAGE = mmap.PAGESIZE
 
 ROBOTS, STEPS, HISTORY, GAMMA = 5, 160, 5, 0.9
 
@@ -87,16 +89,25 @@ def test_a_million_transitions_of_the_biped_take_at_most_200_megabytes(collected
     assert buffer.nbytes + final <= 200e6
 
 
-@pytest.mark.skipif(not STATM.exists(), reason="reads the memory of a process as Linux shows it")
-def test_rows_take_up_memory_once_they_are_written(collected):
-    def resident():
-        return int(STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+def resident(tensor):
+    """Return the bytes of a tensor's memory that the system has given pages to, whatever else its process does."""
+    first, last = (place // PAGE for place in (tensor.data_ptr(), tensor.data_ptr() + tensor.nbytes - 1))
+    with PAGEMAP.open("rb", buffering=0) as file:
+        file.seek(8 * first)
+        entries = np.frombuffer(file.read(8 * (last - first + 1)), dtype=np.uint64)
+    assert len(entries) == last - first + 1
+    return int((entries >> np.uint64(63)).sum()) * PAGE  # bit 63: the page is in memory
 
+
+@pytest.mark.skipif(not PAGEMAP.exists(), reason="reads the memory of a process as Linux shows it")
+def test_rows_take_up_memory_once_they_are_written(collected):
     buffer = FrameBuffer(4_000_000, 8, history=5, n_step=1, gamma=0.99)
-    before = resident()
     buffer.extend(collected)
+    tables = [*buffer._ring.values(), *buffer._last.values()]
     # Whether a row has a last frame of its own is 4 bytes, and not zero for one that has none.
-    assert buffer.nbytes > 400e6 and resident() - before < 60e6
+    assert buffer.nbytes > 400e6 and sum(map(resident, tables)) < 60e6
+    buffer._ring["nodes"].fill_(1)
+    assert resident(buffer._ring["nodes"]) >= buffer._ring["nodes"].nbytes
 
 
 def test_restores_what_it_saved(collected):
