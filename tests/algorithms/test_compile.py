@@ -27,7 +27,8 @@ def updated(name, compiled):
 
 
 # Tracing takes long; only the losses differ between algorithms.
-@pytest.mark.parametrize("name", [pytest.param(kind, marks=[pytest.mark.nightly] * (kind != "td3")) for kind in KINDS])
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", KINDS)
 def test_traced_losses_update_as_they_are(name, monkeypatch):
     """Losses that are traced for the compiler, and run without it, update bit for bit as the original ones."""
     traced, compiler = [], torch.compile

@@ -3,7 +3,6 @@
 import pytest
 import torch
 from tensordict import TensorDict
-from thinned import parametrize
 from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from toy_algorithms import KINDS, batch, build, goal
@@ -82,7 +81,8 @@ def test_the_term_by_hand():
     assert float(imitation.add_to(torch.tensor(-3.0), Zero(), seen, 10)) == -3.0
 
 
-@parametrize(3, "name", KINDS)
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", KINDS)
 def test_the_pull_keeps_the_actor_near_the_controller(name):
     """Critics that know nothing lead the actor away; with the term it stays."""
     away = {}

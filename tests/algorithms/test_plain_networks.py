@@ -91,6 +91,7 @@ def test_trains_and_is_evaluated_from_the_command_line(tmp_path, name):
     assert json.loads((tmp_path / "evaluated" / "evaluation.json").read_text())
 
 
+@pytest.mark.nightly
 def test_a_training_says_that_it_is_slower(tmp_path):
     with pytest.warns(PerformanceWarning) as said:
         train(tmp_path / "run", "algo=td3", "algo._target_=plain_networks.PlainTD3")
@@ -100,6 +101,7 @@ def test_a_training_says_that_it_is_slower(tmp_path):
     )
 
 
+@pytest.mark.nightly
 def test_a_network_that_is_ours_in_parts(tmp_path):
     """A subclass of ``Network`` with fully connected layers of PyTorch trains."""
     target = "network._target_=plain_networks.PlainHead"

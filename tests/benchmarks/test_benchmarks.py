@@ -235,6 +235,7 @@ def test_peers_are_evaluated_for_the_default_trainings_rewards():
     assert settings.evaluation.reward.terms["living"].weight == -0.1
 
 
+@pytest.mark.nightly
 def test_stock_torchrl_trains_and_is_evaluated(tmp_path):
     peers = importlib.import_module("peers")
     evaluator = peers.Evaluator(peers.shared_settings(every=100, episodes=2), tmp_path, minutes=1.0, threads=1)

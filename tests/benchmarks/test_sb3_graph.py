@@ -34,6 +34,7 @@ def test_sides_differ_in_their_extractor_only(benchmark):
     assert graph.policy.net_arch == mlp.policy.net_arch
 
 
+@pytest.mark.nightly
 def test_it_goes_on_where_it_stopped(benchmark, monkeypatch, tmp_path):
     trained = []
 

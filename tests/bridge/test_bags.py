@@ -35,6 +35,7 @@ def made(request, tmp_path_factory):
     return folder, file
 
 
+@pytest.mark.nightly
 def test_a_bag_holds_the_typical_episode(made):
     """The same motion as trace.csv, with its six digits; desired angles one control period before the states."""
     folder, file = made

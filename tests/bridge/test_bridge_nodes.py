@@ -90,6 +90,7 @@ def test_the_papers_topics_carry_the_same_walk(exported, names):
     assert len(hub.of("/waist_thighR_position_controller/command")) == 50
 
 
+@pytest.mark.nightly
 def test_a_pause_changes_nothing(exported):
     hub, simulator, policy = nodes(RosSettings(policy=str(exported), seconds=1.0, patience=0.5))
     while len(hub.of("/joint_states")) < 10:
@@ -117,6 +118,7 @@ def test_a_reset_begins_anew(exported):
     assert [sample.frame for sample in hub.of("/joint_states")][-1] == "episode 2"
 
 
+@pytest.mark.nightly
 def test_the_time_of_day_is_kept(exported):
     """A second of walking takes a second, and a state goes out in each control period."""
     began = time.monotonic()
@@ -155,6 +157,7 @@ class Peer:
         return {servo.joint: servo.home_rad for servo in self.contract.servos}
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("clock", ["lockstep", "wall"])
 def test_without_readings_the_policy_goes_home_and_ends(exported, clock, capfd):
     peer = Peer(exported, "policy", clock=clock)
@@ -269,6 +272,7 @@ def test_alone_a_node_says_what_it_waits_for(exported):
 # Velocities.
 
 
+@pytest.mark.nightly
 def test_cmd_vel_steers(exported_velocity):
     """A velocity reaches the policy as its commands, within their ranges, and counts as 0 when it is not repeated."""
     file = exported_velocity

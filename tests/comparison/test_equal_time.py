@@ -141,6 +141,7 @@ def test_runs_without_wall_clock_are_reported_without_it(tmp_path):
     assert not (tmp_path / "out" / "tables" / "equal_time.csv").exists()
 
 
+@pytest.mark.nightly
 def test_the_page_has_it_beside_table_5(sweep, tmp_path):
     page = report(ReportSettings(str(sweep), str(tmp_path / "out"))).read_text(encoding="utf-8")
     places = [page.index(f'<h2 id="{name}">') for name in ("table-5", "equal-wall-clock", "gait")]
@@ -175,6 +176,7 @@ def many(root, *seconds):
         timed(root, f"b{seed}", "1000,10,40,5,0.0,1", f"2000,20,95,1{seed},0.0,1", returns=10 + seed, **TD3)
 
 
+@pytest.mark.nightly
 def test_no_difference_is_sought_by_wall_clock_where_the_machine_was_shared(tmp_path):
     many(tmp_path / "alike", 94, 95, 96, 97, 98)
     said = verdict(groups_of(find_runs(tmp_path / "alike")))

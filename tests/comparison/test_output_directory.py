@@ -46,6 +46,7 @@ def test_what_is_no_report_is_not_written_over(runs, tmp_path, capsys, make_out,
     assert contents(tmp_path) == before
 
 
+@pytest.mark.nightly
 def test_empty_and_absent_directories_are_written_to(runs, tmp_path):
     (tmp_path / "empty").mkdir()
     for out in ("empty", "absent/below"):
@@ -53,6 +54,7 @@ def test_empty_and_absent_directories_are_written_to(runs, tmp_path):
         assert (tmp_path / out / "index.html").is_file()
 
 
+@pytest.mark.nightly
 def test_a_new_report_leaves_nothing_of_the_one_before(runs, tmp_path):
     examined(runs / "a0", 0.8, [2.0, 4.0])
     make(runs, "b0", overrides=["algo=td3"], change={"algo.tau": 0.01})

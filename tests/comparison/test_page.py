@@ -11,7 +11,6 @@ import pytest
 from browsers import chromium
 from made_up_runs import examined, make
 from omegaconf import OmegaConf
-from thinned import parametrize
 
 from gctd3.errors import RenderError
 from gctd3.training.saved_configuration import CONFIG, find_run
@@ -140,7 +139,8 @@ def films():
     return {f"{GROUPS[0]}, seed 0: a stride"}
 
 
-@parametrize(2, "width", [375, 1280])
+@pytest.mark.nightly
+@pytest.mark.parametrize("width", [375, 1280])
 def test_every_figure_is_there_and_has_a_size(opened, width):
     page = opened(width)
     titles = every(page, "figure h3", "e.textContent")
@@ -155,13 +155,8 @@ def test_every_figure_is_there_and_has_a_size(opened, width):
     assert len(every(page, ".film small", "e.textContent.match(/^[\\d.]+ s, [\\d.]+ m$/)[0]")) == len(frames)
 
 
-@pytest.mark.parametrize(
-    ("scheme", "width"),
-    [
-        pytest.param(*one, marks=[pytest.mark.nightly] * (one != ("dark", 375)))
-        for one in product(("light", "dark"), (375, 1280))
-    ],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize(("scheme", "width"), list(product(("light", "dark"), (375, 1280))))
 def test_all_of_it_can_be_read(opened, scheme, width):
     page = opened(width, scheme)
     # No element is wider than the page: on a phone wide tables scroll in their own frame.
@@ -183,7 +178,8 @@ def test_no_table_is_cut(opened, width):
     assert every(page, "[aria-label=Gaits] th", "e.textContent") == ["", *GROUPS]
 
 
-@parametrize(2, "width", [390, 1280])
+@pytest.mark.nightly
+@pytest.mark.parametrize("width", [390, 1280])
 def test_a_sentence_stands_above_the_comparisons_and_the_rest_is_folded(opened, width):
     page = opened(width, unfolded=False)
     after = every(page, "#verdict ~ *", "e.className || e.tagName")[:4]

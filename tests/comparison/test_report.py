@@ -146,6 +146,7 @@ def test_robustness_of_made_up_runs(pair, tmp_path):
         find_runs(pair)
 
 
+@pytest.mark.nightly
 def test_what_there_is_no_trace_and_no_policy_for_is_said(pair, tmp_path):
     text = report(ReportSettings(str(pair), str(tmp_path / "out"))).read_text(encoding="utf-8")
     assert "gctd3: no filmstrip. " in text and "gctd3: no joint traces and no contacts" in text

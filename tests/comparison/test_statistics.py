@@ -4,7 +4,6 @@ import itertools
 
 import numpy as np
 import pytest
-from thinned import parametrize
 
 from gctd3.comparison.statistics import (
     REPETITIONS,
@@ -47,7 +46,8 @@ def test_iqm_is_rliables(count):
     assert iqm(scores)[0] == pytest.approx(metrics.aggregate_iqm(scores))
 
 
-@parametrize(2, "sizes", [(5,), (2,), (5, 4), (3, 7)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("sizes", [(5,), (2,), (5, 4), (3, 7)])
 def test_intervals_are_rliables(sizes):
     library, metrics = rliable()
     rng = np.random.default_rng(sum(sizes))

@@ -110,6 +110,7 @@ def test_ctrl_c_ends_a_command_with_a_line(capsys, monkeypatch):
     assert capsys.readouterr().err == "\nInterrupted.\n"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_ends_an_evaluation_with_a_line_and_leaves_nothing(capsys, monkeypatch, tmp_path, number, code):
     before = signal.getsignal(number)

@@ -127,6 +127,7 @@ def test_a_target_that_is_none_is_named(target):
 # The command line.
 
 
+@pytest.mark.nightly
 def test_keys_that_no_yaml_holds_are_known():
     settings = build(composed("algo.tau=0.01", "task.randomisations.joint_noise.angle=0", "gradient_steps=7"))
     noise = settings.task.randomisations["joint_noise"]
@@ -213,6 +214,7 @@ def project(tmp_path):
     return run
 
 
+@pytest.mark.nightly
 def test_another_project_composes_the_same(project):
     done = project("network.norm=none", "task.randomisations.joint_noise.angle=0.5", "other.norm=none")
     assert done.returncode == 0, done.stderr
@@ -220,7 +222,8 @@ def test_another_project_composes_the_same(project):
     assert "network.nrom" in project("network.nrom=none").stderr
 
 
-@pytest.mark.parametrize("launcher", ["basic", pytest.param("joblib", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("launcher", ["basic", "joblib"])
 def test_another_projects_sweep_composes_the_same(project, launcher):
     if launcher == "joblib":
         pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
@@ -248,6 +251,7 @@ class MySettings(TD3Settings):
 '''
 
 
+@pytest.mark.nightly
 def test_settings_from_outside_the_package(tmp_path, monkeypatch, capsys):
     (tmp_path / "own" / "algo").mkdir(parents=True)
     (tmp_path / "own" / "algo" / "mine.yaml").write_text("_target_: my_package.MySettings\ngamma: 0.9\n")
@@ -319,6 +323,7 @@ def test_settings_import_no_torch():
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
+@pytest.mark.nightly
 def test_a_misspelt_key_is_answered_without_torch(tmp_path):
     """Import the commands one after the other and name the first that imports it."""
     code = (

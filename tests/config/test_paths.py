@@ -97,7 +97,8 @@ def test_in_a_sweep_a_name_that_exists_is_one_value(tmp_path, monkeypatch):
 # What the commands do.
 
 
-@pytest.mark.parametrize("name", [ALL, *(pytest.param(name, marks=pytest.mark.nightly) for name in NAMES)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", [ALL, *NAMES])
 def test_commands_take_a_run_of_any_name(finished, tmp_path, monkeypatch, name, capsys):
     """As it is, and as it is printed."""
     run = finished.copy("gctd3", tmp_path / name / "run")
@@ -117,6 +118,7 @@ def test_commands_take_a_run_of_any_name(finished, tmp_path, monkeypatch, name, 
     assert load_config(run).total_frames == 320
 
 
+@pytest.mark.nightly
 def test_a_training_goes_where_it_is_told(tmp_path, monkeypatch, capsys):
     """The printed line runs: training, its advice, and a robot, a run to begin from and films of the same names."""
     # Hydra's directory may hold interpolations, and MuJoCo opens no file whose path has a backslash.
@@ -147,6 +149,7 @@ def test_a_training_goes_where_it_is_told(tmp_path, monkeypatch, capsys):
     assert sorted(path.name for path in tmp_path.iterdir()) == [place.name]
 
 
+@pytest.mark.nightly
 def test_a_robots_name_may_hold_commas(tmp_path, monkeypatch):
     """It is no sweep, and no other robot of a part of the name."""
     (tmp_path / "a,b").mkdir()

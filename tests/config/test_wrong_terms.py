@@ -180,6 +180,7 @@ def test_what_is_no_composition_is_answered_from_python_too(make, said):
     assert str(caught.value).startswith(said)
 
 
+@pytest.mark.nightly
 def test_a_term_is_replaced_by_another_class(tmp_path):
     gone, new = "reward.terms.fall=null", "+reward.terms.mine._target_=own_terms.Listed"
     assert command("train", *tiny(tmp_path / "run", gone, new, "+reward.terms.mine.speeds=[1,2]")) == 0
@@ -194,6 +195,7 @@ def test_a_key_that_a_yaml_says_twice_is_named(capfd, tmp_path):
     assert capfd.readouterr().err == f"error: {tmp_path}/reward/twice.yaml, line 4: found duplicate key fall.\n"
 
 
+@pytest.mark.nightly
 def test_a_run_that_is_continued_keeps_its_terms(capfd, tmp_path):
     run = train(tmp_path / "run", "+reward.terms.mine._target_=own_terms.Rising")
     capfd.readouterr()
@@ -213,6 +215,7 @@ def test_a_reward_to_evaluate_under_is_chosen_before_it_is_changed(capfd, tmp_pa
     assert "episodes must be at least 1" in capfd.readouterr().err
 
 
+@pytest.mark.nightly
 def test_two_terms_may_remember_the_same_thing(tmp_path):
     same = [f"+reward.terms.{name}._target_=own_terms.Rising" for name in "xy"]
     assert command("train", *tiny(tmp_path / "run", *same)) == 0

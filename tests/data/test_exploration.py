@@ -212,6 +212,7 @@ def test_noise_is_spread_geometrically_over_the_robots(robot, actor):
     torch.testing.assert_close(actions.std(dim=(0, 2)), expected, rtol=0.04, atol=0.0)
 
 
+@pytest.mark.nightly
 def test_the_noise_of_every_second_robot_wanders(robot, actor):
     for parameter in actor.parameters():
         torch.nn.init.zeros_(parameter)

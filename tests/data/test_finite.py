@@ -78,7 +78,7 @@ FAULTS = {
 }
 
 
-@parametrize(2, "fault", FAULTS)
+@parametrize(len(FAULTS), "fault", FAULTS)
 def test_a_number_that_is_none_ends_the_training(tmp_path, capsys, fault):
     poison, said = FAULTS[fault]
     run = tmp_path / "run"
@@ -190,7 +190,8 @@ def test_an_action_out_of_its_range_is_found(task, value, said):
         env.step(state)
 
 
-@parametrize(2, "backend", ["batched", "dm_control"])
+@pytest.mark.nightly
+@pytest.mark.parametrize("backend", ["batched", "dm_control"])
 def test_checking_changes_nothing(finished, tmp_path, backend):
     unchecked = finished["gctd3" if backend == "batched" else backend]
     assert not load_settings(unchecked).env.check

@@ -24,6 +24,7 @@ def nobody_is_left():
     return not multiprocessing.active_children()
 
 
+@pytest.mark.nightly
 def test_a_process_acts_with_the_weights_that_it_is_sent(robot):
     worker, weights = check_that_it_acts_with_the_weights_that_it_is_sent(ProcessWorker, robot)
     os.kill(worker.pid, signal.SIGKILL)

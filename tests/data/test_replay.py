@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from robots import opposite_axes
 from tensordict import TensorDict
+from thinned import parametrize
 from torchrl.collectors import Collector
 
 from gctd3.data.exploration import Explorer
@@ -113,7 +114,7 @@ def test_every_place_for_the_ends_of_episodes_counts():
         assert torch.equal(frames[key].double(), stacked[key].double()), key
 
 
-@pytest.mark.parametrize("storage", STORAGES)
+@parametrize(2, "storage", STORAGES)
 @given(
     n=st.integers(1, 5),
     sizes=st.lists(st.integers(1, 9), min_size=1, max_size=12),

@@ -125,6 +125,7 @@ def test_noise_is_spread_over_the_robots_of_all_workers(collector):
     assert first.settings.learning_starts == TINY["exploration.learning_starts"] and first.num_robots == ROBOTS
 
 
+@pytest.mark.nightly
 def test_every_worker_has_a_seed_of_its_own_and_so_has_who_replaces_it(collector):
     Near.faults = {(0, 2): breaks, (1, 3): breaks}
     collect = collector()
@@ -159,6 +160,7 @@ def test_batches_are_collected_with_the_weights_of_their_moment(collector):
 # Faults.
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("fault", [breaks, hangs])
 def test_a_worker_that_fails_is_replaced_and_nothing_else_changes(collector, capsys, fault):
     Near.faults = {(0, 3): fault}

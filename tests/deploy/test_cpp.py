@@ -43,8 +43,9 @@ def difference(model, contract, folder, states):
     return np.abs(answers(compiled(header, folder), calls) - expected).max()
 
 
+@pytest.mark.nightly
 @needs_compiler
-@pytest.mark.parametrize("count", [200, pytest.param(10_000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("count", [200, 10_000])
 def test_the_packaged_policys_actions_are_onnxs(exported, tmp_path, count):
     contract = parse_contract(exported.with_suffix(".json").read_text(encoding="utf-8"))
     states = np.random.default_rng(0).standard_normal((count, 8, 10)).astype(np.float32)

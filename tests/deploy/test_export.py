@@ -13,6 +13,7 @@ from compositions import walking
 from hydra import compose, initialize_config_module
 from running import command
 from tensordict import TensorDict
+from thinned import parametrize
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import gctd3
@@ -144,7 +145,7 @@ def stochastic(graph, reflection):
     return gctd3.make_stochastic_actor(graph, 10, 6, Network((), (16,)))
 
 
-@pytest.mark.parametrize("make", [plain, pytest.param(shared, marks=pytest.mark.nightly), stochastic])
+@parametrize(3, "make", [plain, shared, stochastic])
 def test_any_network_can_be_exported(robot, graph, tmp_path, make):
     policy = make(graph, Reflection.from_robot(robot)).requires_grad_(False).eval()
     file = tmp_path / "policy.onnx"
@@ -207,7 +208,8 @@ def named(name):
         pytest.skip(str(error))
 
 
-@pytest.mark.parametrize("name", ["quadruped", pytest.param("go2", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", ["quadruped", "go2"])
 def test_a_free_robot_by_name_stands_up_and_stops_when_it_tips(name, tmp_path):
     """An untrained policy: what it reads, its safe command and its stop, in the robot's own simulation."""
     robot = named(name)
@@ -278,6 +280,7 @@ def test_the_robots_hash_covers_what_it_includes(robot, tmp_path):
         robot_hash(scene)
 
 
+@pytest.mark.nightly
 def test_an_export_that_differs_is_not_written(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("gctd3.deploy.export.to_pt2", lambda program, contract: (b"", lambda states: np.float32(0.0)))
     assert command("export", f"out={tmp_path / 'policy.pt2'}", "episodes=1", "threads=1") == 2

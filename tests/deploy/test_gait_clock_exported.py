@@ -19,12 +19,14 @@ def exported(tmp_path_factory):
     return run
 
 
+@pytest.mark.nightly
 def test_the_clock_is_no_reading(exported):
     policy = Policy(exported / "policy.onnx")
     assert len(policy.contract.clocks) == 4
     assert not any("clock" in name for name in policy.contract.readings)
 
 
+@pytest.mark.nightly
 def test_the_networks_input_is_the_environments(exported):
     """Bit for bit but for the clock's float32 rounding, over a second of control steps with random actions."""
     policy, run = Policy(exported / "policy.onnx"), load_run(exported)

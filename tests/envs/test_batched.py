@@ -8,6 +8,7 @@ import pytest
 import torch
 from compositions import STILL, env_of, reward, walk, walking
 from suite_robots import load
+from thinned import parametrize
 from torchrl.envs.utils import check_env_specs
 
 from gctd3.envs.factory import make_env
@@ -85,7 +86,7 @@ def assert_parity(task, n, policy):
     return +seen
 
 
-@pytest.mark.parametrize("hold", [1, 5])
+@parametrize(2, "hold", [1, 5])
 def test_parity_under_random_actions(robot, hold):
     # Limits so tight that random actions meet every termination.
     task = walking(robot, SHAPED, fall_height=-0.04, finish=0.1, hip_steps=25)

@@ -29,7 +29,7 @@ WITHOUT = ["env.num_envs", "env.threads", "evaluation.every", "evaluation.episod
 @pytest.mark.parametrize(
     "task, nodes, actions",
     [
-        pytest.param("walker_walk", 9, 6, marks=pytest.mark.dm_control),
+        pytest.param("walker_walk", 9, 6, marks=[pytest.mark.dm_control, pytest.mark.nightly]),
         ("walker2d", 9, 6),
         pytest.param("halfcheetah", 9, 6, marks=pytest.mark.nightly),
         pytest.param("ant", 15, 8, marks=pytest.mark.nightly),
@@ -204,6 +204,7 @@ def test_the_tasks_own_observation(library, name, size):
     np.testing.assert_array_equal(seen.height, other["nodes"][:, 0, 0])
 
 
+@pytest.mark.nightly
 def test_trains_on_the_tasks_own_observation(tmp_path, capsys):
     flat = ["task=walker2d", "task.observation=flat", *FEW]
     run = train(tmp_path / "run", "algo=td3", *flat, without=WITHOUT)

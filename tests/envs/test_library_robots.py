@@ -44,7 +44,7 @@ def follow(env, actions):
 
 OPTIONS = [{}, {"static": True}, {"observation": "flat", "history": 1}]
 CASES = [
-    pytest.param(*task, options, marks=[pytest.mark.nightly] if options and task[2] > 1000 else [])
+    pytest.param(*task, options, marks=[pytest.mark.nightly] if task[2] > 1000 else [])
     for task, options in product(TASKS, OPTIONS)
 ]
 

@@ -130,10 +130,12 @@ def in_a_new_process(code):
     assert result.returncode == 0, result.stderr
 
 
+@pytest.mark.nightly
 def test_the_compiler_is_imported_once_something_is_compiled():
     in_a_new_process(POSTPONED)
 
 
+@pytest.mark.nightly
 def test_import_compiler():
     in_a_new_process(
         "import sys; from gctd3 import compat; compat.postpone_compiler(); import torch; compat.import_compiler(); "

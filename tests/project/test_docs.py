@@ -65,7 +65,8 @@ def test_python_runs(page, text, exported, monkeypatch):
     assert {"rollout", "envs", "command", "step"} & set(names)
 
 
-@pytest.mark.parametrize("backend", ["batched", pytest.param("dm_control", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("backend", ["batched", "dm_control"])
 def test_the_shown_reward_term_is_trained_with(backend, tmp_path, monkeypatch):
     text = next(text for language, text in BLOCKS if language == "python" and "class Hurry" in text)
     # Another test may have imported another module of this name.
@@ -213,7 +214,8 @@ def quick():
     return list(found.values())
 
 
-@parametrize(2, "line", quick())
+@pytest.mark.nightly
+@pytest.mark.parametrize("line", quick())
 def test_a_line_of_each_quick_command_runs(line, place, monkeypatch, capfd):
     run_line(line, place, monkeypatch)
 

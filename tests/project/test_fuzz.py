@@ -214,6 +214,7 @@ def test_configurations_of_runs(run, here, count):
     )()
 
 
+@pytest.mark.nightly
 @both(3, 150)
 def test_files_of_runs(run, here, count):
     cases(count)(

@@ -33,6 +33,7 @@ def test_it_says_what_to_do_without_a_display_and_holds_no_outputs():
     assert sum("parameters" in cell["metadata"].get("tags", []) for cell in CELLS) == 1
 
 
+@pytest.mark.nightly
 def test_its_cells_run(tmp_path, monkeypatch, capsys):
     def here(name, *arguments):
         # Without the seconds that a process of its own needs to begin.

@@ -194,6 +194,7 @@ def test_the_front_door_imports_nothing_until_it_is_used():
     assert fresh(f"import gctd3, sys; print([name for name in sys.modules if {names}])") == "[]"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("order", ["gctd3, gymnasium", "gymnasium, gctd3"])
 def test_gymnasium_knows_the_robot_whichever_is_imported_first(order):
     code = f"import {order}\nprint(gymnasium.spec('gctd3/Biped-v0'))"

@@ -87,6 +87,7 @@ def test_no_private_name_of_another_library():
     assert not found, f"belongs into gctd3/compat.py: {found}"
 
 
+@pytest.mark.nightly
 def test_the_exceptions_are_needed():
     found = used()
     assert {name for name in ALLOWED if found[name]} == ALLOWED
@@ -140,6 +141,7 @@ def classes():
                 yield kind
 
 
+@pytest.mark.nightly
 def test_no_class_takes_a_private_name_of_its_base():
     """No class overrides a private method or attribute of a library's class that it extends."""
     taken = []

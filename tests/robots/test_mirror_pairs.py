@@ -194,6 +194,7 @@ def test_training_says_so_before_it_begins(tmp_path, capsys, asked):
     assert not (tmp_path / "run" / "progress.csv").exists()
 
 
+@pytest.mark.nightly
 def test_it_trains_without_the_mirror_and_says_so_in_a_line(tmp_path, capsys):
     file = write(tmp_path, crooked(FREE_LEGS))
     assert (train(tmp_path / "off", f"robot={file}", "replay.mirror=false") / "progress.csv").is_file()
@@ -204,6 +205,7 @@ def test_it_trains_without_the_mirror_and_says_so_in_a_line(tmp_path, capsys):
     assert len(lines) == 1 and lines[0].startswith("mirror: off, for joint 'hip_a': it is beside")
 
 
+@pytest.mark.nightly
 def test_it_is_mirrored_where_the_sides_are_alike(tmp_path, capsys):
     train(tmp_path / "run", f"robot={write(tmp_path, FREE_LEGS)}")
     assert Recorded.last.replay.mirror is not None

@@ -202,7 +202,7 @@ def test_environment(name, other):
 
 
 @pytest.mark.parametrize(
-    "robot_name", [pytest.param(name, marks=[pytest.mark.nightly] * (name == "hexapod")) for name in FEET]
+    "robot_name", [pytest.param(name, marks=[pytest.mark.nightly] * (name != "quadruped")) for name in FEET]
 )
 def test_trains(robot_name, finished, tmp_path):
     run = finished["quadruped"] if robot_name == "quadruped" else train(tmp_path / "run", f"robot={robot_name}")

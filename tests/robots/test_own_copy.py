@@ -210,6 +210,7 @@ def test_a_namesake_elsewhere_is_not_looked_at(tmp_path, monkeypatch):
     assert copy.find_source() is None and np.array_equal(moved(copy.robot), moved(robot))
 
 
+@pytest.mark.nightly
 def test_a_package_that_is_gone_is_not_needed(tmp_path, monkeypatch):
     folder = tmp_path / "site" / "some_walkers"
     folder.mkdir(parents=True)

@@ -82,6 +82,7 @@ def test_the_package_data_covers_every_file():
         assert len(there) > 10 and there == {path for path in packed if path.is_file()}
 
 
+@pytest.mark.nightly
 def test_without_a_run_commands_use_it_and_leave_it_alone(tmp_path, capsys):
     before = contents(find_run(None))
     assert command("evaluate", "episodes=2", "threads=1") == 0
@@ -109,6 +110,7 @@ def ship(module, monkeypatch, *arguments):
     module.main()
 
 
+@pytest.mark.nightly
 def test_shipping_evaluates_and_copies(shipping, tmp_path, monkeypatch):
     run, to = tmp_path / "run", tmp_path / "biped" / "policy"
     shutil.copytree(find_run(None), run)

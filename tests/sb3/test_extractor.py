@@ -195,7 +195,8 @@ LEARNERS = {
 STEPS = {"TD3": 400, "SAC": 300, "PPO": 768}
 
 
-@parametrize(3, "algorithm", ALGORITHMS)
+@pytest.mark.nightly
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_learns(algorithm):
     """What only two nodes sense is learned: less than half of the best constant action's loss remains."""
     settings = dict(LEARNERS[algorithm])

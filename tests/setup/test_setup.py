@@ -3,6 +3,7 @@
 import mujoco
 import pytest
 from running import Recorded, command, tiny
+from thinned import parametrize
 
 from gctd3.robots import load as load_module
 from gctd3.robots.graph import KinematicGraph
@@ -34,7 +35,7 @@ def seen(monkeypatch):
     return found
 
 
-@pytest.mark.parametrize("backend", ["batched", "dm_control"])
+@parametrize(2, "backend", ["batched", "dm_control"])
 def test_the_robot_is_compiled_once_and_its_graph_built_once(tmp_path, seen, backend):
     before_the_first_step = []
 

@@ -34,6 +34,7 @@ def test_a_batch_is_its_robots_one_by_one(robot, seed):
                 assert getattr(many, name)[i] == getattr(one, name), name
 
 
+@pytest.mark.nightly
 @given(SEEDS)
 def test_a_mirrored_walk_is_worth_the_same(robot, graph, seed):
     task = walking(robot, SHAPED, contact_steps=3, hip_steps=3)

@@ -32,6 +32,7 @@ def config():
         yield make
 
 
+@pytest.mark.nightly
 def test_nothing_differs_from_the_defaults(config):
     assert list(differences(config())) == []
     assert "Differs" not in opening(config(), "walk", RUN)

@@ -58,6 +58,7 @@ def test_a_policy_that_is_not_confirmed_trains_on_and_a_confirmed_one_is_the_bes
     assert said.index("misses the conditions that it met") < said.index("meets the conditions too")
 
 
+@pytest.mark.nightly
 def test_confirming_changes_nothing_of_the_training(tmp_path, monkeypatch):
     real = confirmation.confirm
 

@@ -164,15 +164,15 @@ HOPELESS = {
 
 
 @parametrize(
-    2,
+    6,
     ("kind", "more"),
     [
         ("diverged", []),
         ("diverged", ["env.backend=dm_control"]),
         ("short", []),
         ("equal", []),
-        pytest.param("short", ["env.backend=dm_control"], marks=pytest.mark.nightly),
-        pytest.param("diverged", ["collector=process", "collector.workers=1"], marks=pytest.mark.nightly),
+        ("short", ["env.backend=dm_control"]),
+        ("diverged", ["collector=process", "collector.workers=1"]),
     ],
 )
 def test_a_training_that_cannot_succeed_stops(tmp_path, capsys, unstable, kind, more):
@@ -194,6 +194,7 @@ def test_a_training_that_cannot_succeed_stops(tmp_path, capsys, unstable, kind, 
         assert command("train", *tiny(tmp_path / "off", *on, without=TINY.keys() - {"env.num_envs", "logger"})) == 0
 
 
+@pytest.mark.nightly
 def test_episodes_of_a_library_that_end_at_once_are_noticed(tmp_path, capsys):
     short = ["task=walker2d", "give_up.steps=100", "give_up.episodes=8", "total_frames=100_000"]
     assert command("train", *tiny(tmp_path / "run", *short, without=("env.threads", "total_frames"))) == 2

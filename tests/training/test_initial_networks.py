@@ -6,6 +6,7 @@ import pytest
 import torch
 from running import Recorded, command, tiny
 from tensordict import TensorDict
+from thinned import parametrize
 
 from gctd3.runs.load import load_run
 from gctd3.training.checkpoint import Checkpoints
@@ -31,6 +32,7 @@ def test_they_are_copied_and_trained_on(tmp_path, finished):
     assert any(not torch.equal(given[name], values) for name, values in networks(tmp_path / "new").items())
 
 
+@pytest.mark.nightly
 def test_restarts_begin_from_them_too(tmp_path, finished):
     class Watched(Recorded):
         begun = 0
@@ -69,7 +71,7 @@ def test_there_must_be_a_checkpoint(tmp_path, capsys, where):
 SIGHT = ["terrain=rough", "task.terrain.levels=1", "task.terrain.length=4", "sight=policy"]
 
 
-@pytest.mark.parametrize("name", ["gctd3", "td3"])
+@parametrize(2, "name", ["gctd3", "td3"])
 def test_a_flat_policy_begins_on_terrain_with_sight_as_it_was(tmp_path, finished, name):
     """With graph layers and without: new inputs have no effect yet, for the actor and for both critics."""
     given = finished[name]
@@ -95,6 +97,7 @@ def test_a_flat_policy_begins_on_terrain_with_sight_as_it_was(tmp_path, finished
         torch.testing.assert_close(one, other, rtol=0, atol=1e-5)
 
 
+@pytest.mark.nightly
 def test_critics_alone_may_see_more_than_before(tmp_path, finished):
     """Their privileged input grows by the scan's 18 rays, whose weights are zero."""
     still = ["exploration.learning_starts=83", "total_frames=83"]

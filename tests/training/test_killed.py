@@ -34,12 +34,13 @@ LONG = ["total_frames=4000", "evaluation.every=400", "checkpoint_every=0.2"]
 SOON = [*LONG, "evaluation.every=80"]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("number", "code"),
     [
         (signal.SIGINT, 130),
-        pytest.param(signal.SIGTERM, 143, marks=pytest.mark.nightly),
-        pytest.param(signal.SIGHUP, 129, marks=pytest.mark.nightly),
+        (signal.SIGTERM, 143),
+        (signal.SIGHUP, 129),
     ],
 )
 def test_a_signal_finishes_the_step_and_says_how_to_go_on(tmp_path, number, code):
@@ -119,6 +120,7 @@ def test_a_terminal_that_shows_ascii_only(tmp_path, settings):
     assert b"+-" in done.stdout and done.stdout.isascii()
 
 
+@pytest.mark.nightly
 def test_a_result_is_shown_on_a_terminal_that_shows_ascii_only(tmp_path, monkeypatch):
     content = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(content, encoding="ascii"))
@@ -139,6 +141,7 @@ def test_a_signal_while_the_training_is_being_built(tmp_path):
     assert f"Continue it:  python -m gctd3.train resume={run}" in out
 
 
+@pytest.mark.nightly
 def test_the_directory_of_a_training_is_taken(finished, tmp_path, capsys):
     run = finished.copy("gctd3", tmp_path / "run")
     with only_one(run):

@@ -107,6 +107,7 @@ def test_a_preempted_run_of_submitit_resumes_by_itself(tmp_path):
     assert json.dumps(rows(alone, drop=["wall_s"])) == whole
 
 
+@pytest.mark.nightly
 def test_a_time_limit_ends_the_session_and_resuming_ends_the_run(tmp_path, capsys):
     run = tmp_path / "run"
     assert command("train", *SETTINGS, f"hydra.run.dir={run}", "time_limit=0.000001") == 0

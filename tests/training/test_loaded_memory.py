@@ -5,6 +5,7 @@ import pytest
 import torch
 from safetensors import safe_open
 from tensordict import TensorDict
+from thinned import parametrize
 from toy_algorithms import GCN, MLP, build, going_on
 
 from gctd3.files import load_tree, save_tree
@@ -50,7 +51,7 @@ def test_tensors_and_arrays_are_loaded_into_memory_of_their_own(tmp_path, shift)
         assert (loaded[key] == value).all()
 
 
-@pytest.mark.parametrize("network", [GCN, MLP], ids=["gcn", "mlp"])
+@parametrize(2, "network", [GCN, MLP], ids=["gcn", "mlp"])
 @pytest.mark.parametrize("name", ["td3", "sac"])
 def test_an_update_with_what_was_loaded_equals_one_with_what_was_saved(tmp_path, name, network):
     """Actions, both losses, optimisers and targets are equal to the bit, at every place in a file."""

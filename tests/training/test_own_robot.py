@@ -32,7 +32,7 @@ WAYS = ["--config-dir=own", "--config-dir own", "-cd own", "hydra.searchpath=[fi
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("way", [WAYS[0], *(pytest.param(way, marks=pytest.mark.nightly) for way in WAYS[1:])])
+@pytest.mark.parametrize("way", WAYS)
 def test_options_stand_anywhere_among_the_settings(tmp_path, way):
     words = way.format(tmp_path).split(" ")
     # Options on both sides of key=value, which has no prescribed order.
@@ -52,6 +52,7 @@ def test_options_stand_anywhere_among_the_settings(tmp_path, way):
     assert (resumed.task, resumed.env) == (settings.task, settings.env)
 
 
+@pytest.mark.nightly
 def test_another_robots_settings(tmp_path):
     assert answered("train", *tiny(tmp_path / "run", "robot=quadruped", "robot.name=robot.xml")) == 0
     settings = load_settings(tmp_path / "run")
@@ -67,6 +68,7 @@ def test_what_is_no_setting_is_still_refused(tmp_path, capsys):
     assert "Could not find 'robot/mine'" in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_a_run_keeps_the_file_that_it_read(tmp_path, monkeypatch):
     """Choose the package that is installed from a list, whatever comes later."""
     monkeypatch.syspath_prepend(str(tmp_path / "site"))

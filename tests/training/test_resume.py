@@ -27,7 +27,7 @@ from gctd3.training.saved_configuration import (
 
 ALGORITHMS = ("gctd3", "td3", "ddpg", "sac")
 # The state of a backend is the same for all algorithms, and that of an algorithm is tested by itself as well.
-QUICK = [("gctd3", "batched", "frames"), ("gctd3", "dm_control", "frames")]
+QUICK = [("gctd3", "batched", "frames")]
 CASES = [
     pytest.param(*case, marks=[] if case in QUICK else [pytest.mark.nightly])
     for case in [*product(ALGORITHMS, ("batched", "dm_control"), ["frames"]), ("td3", "batched", "stacked")]
@@ -81,7 +81,7 @@ def test_stopped_while_it_imitates_a_gait(tmp_path, capsys):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("storage", ["frames", pytest.param("stacked", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("storage", ["frames", "stacked"])
 def test_stopped_after_it_had_begun_again(tmp_path, storage):
     never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=80", "exploration.learning_starts=40"]
     settings = [*never, f"replay.storage={storage}", "total_frames=320"]
@@ -92,6 +92,7 @@ def test_stopped_after_it_had_begun_again(tmp_path, storage):
     assert_same_run(whole, part)
 
 
+@pytest.mark.nightly
 def test_more_frames_extend_a_finished_run(finished, tmp_path):
     run = train(tmp_path / "run", "total_frames=160", without=["total_frames"])
     assert command("train", f"resume={run}") == 2
@@ -101,6 +102,7 @@ def test_more_frames_extend_a_finished_run(finished, tmp_path):
     assert command("train", f"resume={run}") == 2
 
 
+@pytest.mark.nightly
 def test_other_settings_are_refused_by_name_and_harmless_ones_taken(finished, tmp_path, capsys):
     run = finished.copy("gctd3", tmp_path / "run")
     capsys.readouterr()
@@ -208,6 +210,7 @@ def test_no_run_to_resume(tmp_path, capsys, missing):
     assert [path.name for path in tmp_path.rglob("*")] == (["run"] if missing else [])
 
 
+@pytest.mark.nightly
 def test_a_damaged_checkpoint_is_passed_over(finished, tmp_path, capsys):
     whole = finished["gctd3"]
     part = stopped(tmp_path / "part", 160, "checkpoint_every=0.001")
@@ -236,7 +239,8 @@ def test_a_damaged_checkpoint_is_passed_over(finished, tmp_path, capsys):
     assert before.name < newest.name
 
 
-@parametrize(2, "first", [True, False])
+@pytest.mark.nightly
+@pytest.mark.parametrize("first", [True, False])
 def test_the_last_word_counts_for_every_setting_that_may_change(tmp_path, first):
     """Whether a setting stood on the first command line or not, and however often it goes to and fro."""
     fro = ["keep_checkpoints=2", "time_limit=1", "logger=csv", "stop_when.evaluations=2", "threads=1", "device=cpu"]
@@ -295,7 +299,8 @@ def damage_policy(best):
     (best / "policy.safetensors").write_bytes(b"0")
 
 
-@parametrize(3, "damage", [shutil.rmtree, damage_manifest, damage_policy])
+@pytest.mark.nightly
+@pytest.mark.parametrize("damage", [shutil.rmtree, damage_manifest, damage_policy])
 def test_a_lost_best_policy_is_noticed_and_replaced(finished, tmp_path, capsys, damage):
     run = finished.copy("gctd3", tmp_path / "run")
     (best,) = (run / "checkpoints").glob("best-*")

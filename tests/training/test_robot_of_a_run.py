@@ -85,6 +85,7 @@ def test_evaluations_are_the_same(trained, run, state, capfd):
     assert all(line.startswith(begin) for line, begin in zip(about, expected, strict=True))
 
 
+@pytest.mark.nightly
 def test_the_contract_is_of_the_runs_own_robot(trained, run, tmp_path):
     pytest.importorskip("onnxscript")
     pytest.importorskip("onnxruntime")
@@ -110,6 +111,7 @@ def test_the_contract_is_of_the_runs_own_robot(trained, run, tmp_path):
         Policy(tmp_path / "policy.onnx", robot=run)
 
 
+@pytest.mark.nightly
 def test_a_run_goes_on_with_its_robot(trained, run, tmp_path):
     """Resumed on its copy it makes the numbers of a run that was resumed where its robot is."""
     whole = shutil.copytree(trained / "run", tmp_path / "whole")
@@ -150,6 +152,7 @@ def test_other_commands_find_the_robot(trained, run, tmp_path, capsys):
         (trained / "other.xml").rename(trained / "robot.xml")
 
 
+@pytest.mark.nightly
 def test_runs_of_two_robots_of_one_name_do_not_belong_together(trained, run, tmp_path, monkeypatch, capsys):
     other = tmp_path / "another"
     other.mkdir()
@@ -162,6 +165,7 @@ def test_runs_of_two_robots_of_one_name_do_not_belong_together(trained, run, tmp
     assert f"robot, hash of its physics: {second} in b; {first} in run" in said
 
 
+@pytest.mark.nightly
 def test_a_run_without_a_copy_reads_its_source(trained, run, monkeypatch, capfd):
     """As runs did before they kept one; it says so, and keeps one when it goes on."""
     shutil.rmtree(run / "robot")

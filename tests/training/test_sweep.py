@@ -100,6 +100,7 @@ def test_the_mlp_among_the_graphs_has_as_many_parameters():
     assert all(counts == tree for name, counts in sizes.items() if name != "experiment/graphs=mlp")
 
 
+@pytest.mark.nightly
 def test_every_seed_draws_its_own_random_graph():
     seeds = {config.seed: config.robot.graph_seed for overrides, config in jobs("graphs")}
     assert seeds == {seed: seed for seed in SEEDS}
@@ -255,6 +256,7 @@ def test_a_run_that_was_stopped_is_named(finished, tmp_path):
     assert find_runs(run)[0].trouble == "stopped before its first evaluation"
 
 
+@pytest.mark.nightly
 def test_a_run_that_reached_what_it_was_to_show_is_at_its_end(tmp_path):
     shown = ["stop_when.evaluations=1", "stop_when.at_least={success_rate: 0.0}", "stop_when.at_most={}"]
     run = train(tmp_path / "a", "stop_when=never", *(f"+{item}" if "at_" in item else item for item in shown))

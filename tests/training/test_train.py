@@ -59,7 +59,7 @@ def test_a_training_ends_with_what_to_do_next(tmp_path, capsys):
     assert f"python -m gctd3.evaluate run={run} episodes=50" in said and f"python -m gctd3.view run={run}" in said
 
 
-@parametrize(2, "algorithm", ["gctd3", "td3", "ddpg", "sac"])
+@parametrize(4, "algorithm", ["gctd3", "td3", "ddpg", "sac"])
 def test_a_run_keeps_the_contract(finished, tmp_path, algorithm):
     run = finished.copy(algorithm, tmp_path / "run")
     text = (run / ".hydra" / "config.yaml").read_text(encoding="utf-8")
@@ -98,7 +98,7 @@ def test_load_policy_is_the_policy_that_was_evaluated_best(runs):
     assert [frames for frames, action in actions.items() if torch.equal(action, loaded)] == [trainer.best["frames"]]
 
 
-@pytest.mark.parametrize("algorithm", ["gctd3", "sac"])
+@parametrize(2, "algorithm", ["gctd3", "sac"])
 def test_a_later_evaluation_repeats_the_one_in_training(runs, algorithm, capsys):
     run, trainer = runs(algorithm)
     best = next(row for row in rows(run) if int(row["frames"]) == trainer.best["frames"])
@@ -169,6 +169,7 @@ def test_stop_when_ends_the_training(tmp_path):
     assert [row["frames"] for row in rows(run)] == ["80", "160"]
 
 
+@pytest.mark.nightly
 def test_begins_again_when_no_evaluation_meets_all_conditions(tmp_path, capsys):
     never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=160", "total_frames=400"]
     run = train(tmp_path / "run", *never)
@@ -192,6 +193,7 @@ def test_does_not_begin_again_while_evaluations_meet_all_conditions(tmp_path):
     assert [row["restarts"] for row in rows(run)] == ["0", "0", "0"]
 
 
+@pytest.mark.nightly
 def test_total_episodes_ends_the_training(tmp_path):
     run = train(tmp_path / "run", "total_frames=4000", "evaluation.every=4000", "total_episodes=3")
     (row,) = rows(run)

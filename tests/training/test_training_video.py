@@ -45,6 +45,7 @@ def test_tensorboard_shows_them(runs):
         assert image.format == "GIF" and image.n_frames > 1 and image.size == film.CLIP_SIZE
 
 
+@pytest.mark.nightly
 def test_the_training_is_the_same(runs):
     filmed, plain = runs
     assert rows(filmed, drop=("wall_s",)) == rows(plain, drop=("wall_s",))

@@ -19,6 +19,7 @@ def test_errors_of_the_commands_are_recorded(finished):
         assert float(row["error_turn"]) > 0.0 and 0.0 <= float(row["fall_rate"]) <= 1.0
 
 
+@pytest.mark.nightly
 def test_stopped_and_resumed_equals_left_alone(finished, tmp_path):
     """The commands that are due, and each robot's share of the box, are saved and restored."""
     part = stopped(tmp_path / "part", 128, "algo=gctd3", *COMMANDED)

@@ -45,6 +45,7 @@ def frame(walk, robot, step=0, camera="side", size=(200, 160), words=True):
     return np.asarray(drawn).astype(int)
 
 
+@pytest.mark.nightly
 def test_marks_lie_on_the_ground(walk, robot, monkeypatch):
     marked = frame(walk, robot)
     monkeypatch.setattr(film, "MARKS", range(0))
@@ -135,6 +136,7 @@ def backend(**environment):
     return done.stdout.strip() or done.stderr.strip().splitlines()
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(sys.platform != "linux", reason="EGL and OSMesa are Linux's")
 def test_another_backend_takes_over():
     found = backend(**NO_EGL)
@@ -142,6 +144,7 @@ def test_another_backend_takes_over():
         assert any("RenderError: There is no OpenGL" in line and "apt install libegl1" in line for line in found)
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(sys.platform != "linux", reason="EGL and OSMesa are Linux's")
 def test_no_opengl_says_what_to_install():
     # PyOpenGL, told to use EGL, refuses OSMesa.
