@@ -84,6 +84,7 @@ def complete(
         draft.edit(sentence)
     first = draft.model
     _check_places(first, file)
+    _contacts(draft, settings)
     names, several = [joint_name(first, j) for j in draft.joints()], len(settings.sources) > 1
     check_patterns(settings.servos, names, "robot.servos", file, several)
     floor = complete_ground(draft)
@@ -130,6 +131,20 @@ def _check_places(model: mujoco.MjModel, file: Path) -> None:
             part = int(away[0])
             name = getattr(model, kind)(part).name or f"number {part}"
             raise RobotError(f"{file}: {kind} {name} is at {places[part].tolist()} m.")
+
+
+def _contacts(draft: Draft, settings: RobotSettings) -> None:
+    """Give contacts the friction cone and the ratio of impedances that settings ask for, with a note."""
+    option, changes = draft.spec.option, []
+    cones = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
+    if settings.cone is not None and int(option.cone) != int(cones[settings.cone]):
+        option.cone = cones[settings.cone]
+        changes.append(f"friction cones are {settings.cone}")
+    if settings.impratio is not None and option.impratio != settings.impratio:
+        option.impratio = settings.impratio
+        changes.append(f"impratio is {settings.impratio:g}")
+    if changes:
+        draft.edit(f"Contacts as the settings ask for: {', '.join(changes)}.")
 
 
 def _find(draft: Draft, settings: RobotSettings, floor: int, feet: Sequence[str]) -> dict[str, np.ndarray] | None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Literal
 
-from gctd3.errors import check_seed
+from gctd3.errors import ConfigError, check_seed
 from gctd3.robots.servo_settings import ServoSettings
 
 if TYPE_CHECKING:
@@ -39,6 +40,10 @@ class RobotSettings:
             else a pose that is found.
         hold: Patterns (``*`` and ``?``) of joints that walking does not need: they are fixed in the standing pose.
         servos: Servos by pattern of joints, of which the first that fits counts.
+        cone: Friction cone of contacts, MuJoCo's ``pyramidal`` or ``elliptic``; ``None`` for the file's. In pyramidal
+            ones, which are MuJoCo's default, feet that stand creep.
+        impratio: Stiffness of friction by that of the normal force, MuJoCo's ``impratio``: the larger, the less feet
+            creep, in elliptic cones; ``None`` for the file's.
         action_scale: Change of the desired angle from the standing pose by an action of 1 (rad), one number or one by
             pattern of joints; ``range`` maps actions onto the servos' ranges (the paper's Table 2) instead. ``None``
             derives it from effort and stiffness where the base is free, and stands for ``range`` on other bases.
@@ -55,9 +60,13 @@ class RobotSettings:
     pose: str | None = None
     hold: Sequence[str] = ()
     servos: Mapping[str, ServoSettings] = field(default_factory=dict)
+    cone: Literal["pyramidal", "elliptic"] | None = None
+    impratio: float | None = None
     action_scale: float | str | Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
+        if self.impratio is not None and not 0 < self.impratio < math.inf:
+            raise ConfigError(f"robot.impratio={self.impratio}: must be greater than 0 and finite")
         check_seed("graph_seed", self.graph_seed)
 
     def within(self, limits: Mapping[str, Mapping[str, float]]) -> RobotSettings:
