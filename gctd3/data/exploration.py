@@ -15,6 +15,7 @@ from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
 from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.robot import Robot
+from gctd3.tasks.posture import Posture
 
 
 class Rhythm(torch.nn.Module):
@@ -142,6 +143,7 @@ class Explorer(TensorDictModuleBase):
         control_dt: Control period (s).
         part: Robots that this explorer moves, all by default; other explorers move the rest at the same pace.
         gait: Gait for which the policy observes a clock; feet that step in the warm-up keep to it.
+        posture: What shows the body's posture in observations, to which feet that step may answer.
 
     Attributes:
         frames: Control steps of all robots so far.
@@ -162,14 +164,18 @@ class Explorer(TensorDictModuleBase):
         control_dt: float = 0.02,
         part: slice = slice(None),
         gait: GaitPattern | None = None,
+        posture: Posture | None = None,
     ) -> None:
         super().__init__()
         self.num_robots = num_robots
         robots = len(range(num_robots)[part])
         stepping = settings.warmup == "stepping"
+        answered = posture if stepping and settings.answers(robot) else None
         # What tells how good a gait is, if gaits evolve.
         self._judged_by = "episode_reward" if stepping else "position" if settings.mutation_share > 0 else None
         self.in_keys = [*actor.in_keys, "is_init", *([self._judged_by] if self._judged_by else [])]
+        if answered is not None and "nodes" not in self.in_keys:
+            self.in_keys.append("nodes")
         self.out_keys = ["action"]
         self.actor = actor
         self.settings = settings
@@ -179,8 +185,8 @@ class Explorer(TensorDictModuleBase):
             self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, settings.mutation_share)
         elif stepping:
             steps = settings.learning_starts // num_robots
-            share = settings.mutation_share
-            self.rhythm = Stepping(robot, robots, settings.gait_time, control_dt, share, gait, steps)
+            trial, share = settings.trial(robot), settings.mutation_share
+            self.rhythm = Stepping(robot, robots, trial, control_dt, share, gait, steps, answered)
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
@@ -224,7 +230,10 @@ class Explorer(TensorDictModuleBase):
     def _warmup(self, tensordict: TensorDictBase) -> Tensor:
         if self.rhythm is not None:
             reached = tensordict.get(self._judged_by).reshape(-1) if self._judged_by else None
-            return self.rhythm(tensordict.get("is_init").reshape(-1), reached)
+            is_init = tensordict.get("is_init").reshape(-1)
+            if isinstance(self.rhythm, Stepping) and self.rhythm.posture is not None:
+                return self.rhythm(is_init, reached, tensordict.get("nodes"))
+            return self.rhythm(is_init, reached)
         if (int(self.frames) // self.num_robots) % self.settings.hold == 0:
             self.held.uniform_(-1.0, 1.0)
         return self.held.clone()

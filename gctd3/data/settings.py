@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from gctd3.robots.robot import Robot
 
 MOST_WORKERS = 10_000
+MOST_BALANCING = 2  # feet of a robot that stands on one foot while it steps with the other
+GAIT_TIMES = (2.0, 4.0)  # s, without and with reflexes
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,10 @@ class ExplorationSettings:
         frequency: Lowest and highest frequency of warmup=rhythmic (Hz).
         mutation_share: Share of the gaits of warmup=rhythmic and warmup=stepping that are mutations of those that got
             farthest before; the rest are drawn anew.
-        gait_time: Time for which warmup=stepping tries a gait (s).
+        gait_time: Time for which warmup=stepping tries a gait (s); ``None`` for 2 s, or 4 s with reflexes, since a gait
+            that loses its balance may take so long to fall.
+        reflexes: Whether the feet of warmup=stepping answer to the body's posture (:func:`.reflexes`); ``None`` for
+            those of robots with two feet, which have to balance.
         noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions (half a joint's
             range), spread geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for
             a policy that is random by itself.
@@ -43,7 +48,8 @@ class ExplorationSettings:
     hold: int = 5
     frequency: Sequence[float] = (1.2, 2.4)
     mutation_share: float = 0.0
-    gait_time: float = 2.0
+    gait_time: float | None = None
+    reflexes: bool | None = None
     noise: Sequence[float] | None = (0.05, 0.5)
     noise_time: float = 0.0
 
@@ -54,7 +60,7 @@ class ExplorationSettings:
             raise ConfigError(f"hold must be at least 1, got {self.hold}.")
         if len(self.frequency) != 2 or not 0 < self.frequency[0] <= self.frequency[1]:
             raise ConfigError(f"frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
-        if not self.gait_time > 0:
+        if self.gait_time is not None and not self.gait_time > 0:
             raise ConfigError(f"gait_time must be above 0 s, got {self.gait_time}.")
         if not 0.0 <= self.mutation_share <= 1.0:
             raise ConfigError(f"mutation_share must be between 0 and 1, got {self.mutation_share}.")
@@ -63,6 +69,16 @@ class ExplorationSettings:
             raise ConfigError(f"noise must be [smallest, largest] > 0 and <= 10, or null, got {list(self.noise)}.")
         if self.noise_time < 0:
             raise ConfigError(f"noise_time must be at least 0 s, got {self.noise_time}.")
+
+    def answers(self, robot: Robot) -> bool:
+        """Return whether feet that step answer to the body's posture."""
+        return len(robot.feet) <= MOST_BALANCING if self.reflexes is None else self.reflexes
+
+    def trial(self, robot: Robot) -> float:
+        """Return the time for which a gait of feet that step is tried (s)."""
+        if self.gait_time is not None:
+            return self.gait_time
+        return GAIT_TIMES[self.answers(robot)]
 
     def check_robot(self, robot: Robot, control_dt: float) -> None:
         """Raise a :class:`.ConfigError` if a robot cannot be moved like this.

@@ -1,23 +1,24 @@
-"""Open-loop gaits whose feet step: they evolve during the warm-up, and training starts from their transitions."""
+"""Gaits whose feet step: they evolve during the warm-up, and training starts from their transitions."""
 
 from __future__ import annotations
 
 import math
 
-import mujoco
-import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from gctd3.errors import ConfigError
+from gctd3.data.reflexes import GENES as REFLEXES
+from gctd3.data.reflexes import NONE_AT_FIRST, reflexes
+from gctd3.robots.foot_paths import arcs, joint_paths, sides
 from gctd3.robots.gait_pattern import GRAVITY, GaitPattern
 from gctd3.robots.robot import Robot
+from gctd3.tasks.posture import SENSES, Posture
 
 
 class Stepping(torch.nn.Module):
-    """Generate open-loop gaits in which every foot moves to and fro and is lifted on its way forwards.
+    """Generate gaits in which every foot moves to and fro and is lifted on its way forwards.
 
     The path of a foot about its place in the standing pose becomes joint angles by the pseudo-inverse of its leg's
     Jacobian, less the arc that it would go along. On the ground a foot moves as the ground does below a body of
@@ -30,6 +31,9 @@ class Stepping(torch.nn.Module):
     a policy, they cost a gait. Lengths are in leg lengths and frequencies in those of a pendulum as long as the leg, so
     that the same numbers serve robots of all sizes.
 
+    The gaits are open-loop ones unless ``posture`` is given: then feet answer to the body's posture
+    (:func:`.reflexes`), with gains that evolve too, and legs with joints enough keep their soles level.
+
     Args:
         robot: The robot.
         num_robots: Number of robots.
@@ -38,6 +42,7 @@ class Stepping(torch.nn.Module):
         mutation_share: Share of new gaits that descend from others.
         gait: Frequency and phases of the feet of all gaits; they evolve if ``None``.
         steps: Control steps of the warm-up; ``None`` for one without an end.
+        posture: What shows the body's posture in observations; ``None`` for open-loop gaits.
 
     Raises:
         ConfigError: If no foot has a driven joint of its own.
@@ -46,6 +51,7 @@ class Stepping(torch.nn.Module):
     frequency: Tensor
     pair_of: Tensor
     lagging: Tensor
+    left: Tensor
     joints: Tensor
     arc: Tensor
     fitness: Tensor
@@ -58,7 +64,7 @@ class Stepping(torch.nn.Module):
     final: Tensor
     finalist: Tensor
 
-    # Lowest and highest value of each gene, and whether each pair of feet has its own.
+    # Lowest and highest value of each gene, and whether each pair of feet has its own; gaits with reflexes have more.
     GENES: dict[str, tuple[float, float, bool]] = {  # noqa: RUF012 - a constant
         "frequency": (1.0, 3.2, False),  # of a pendulum as long as the leg
         "stride": (0.05, 0.45, False),  # half of a foot's way to and fro, leg lengths
@@ -92,9 +98,11 @@ class Stepping(torch.nn.Module):
         mutation_share: float = 0.8,
         gait: GaitPattern | None = None,
         steps: int | None = None,
+        posture: Posture | None = None,
     ) -> None:
         super().__init__()
-        self._length = robot.leg_length
+        self._length, self.posture = robot.leg_length, posture
+        self.genes = self.GENES if posture is None else self.GENES | REFLEXES
         self._dt, self._share = control_dt, mutation_share
         self._steps = max(round(trial / control_dt), 1)
         self._last_round = math.inf if steps is None else (1.0 - self.LAST_ROUND) * steps
@@ -102,8 +110,10 @@ class Stepping(torch.nn.Module):
         group, lag = _groups(robot)
         self.register_buffer("pair_of", group, persistent=False)
         self.register_buffer("lagging", lag, persistent=False)
-        self.register_buffer("joints", _joint_paths(robot, self.DAMPING * self._length), persistent=False)
-        self.register_buffer("arc", _arcs(robot, self.joints), persistent=False)
+        paths = joint_paths(robot, self.DAMPING * self._length, soles=posture is not None)
+        self.register_buffer("joints", torch.from_numpy(paths if posture else paths[:, :3]).float(), persistent=False)
+        self.register_buffer("arc", torch.from_numpy(arcs(robot, paths)).float(), persistent=False)
+        self.register_buffer("left", torch.from_numpy(sides(robot)).float(), persistent=False)
         self.groups = int(group.max()) + 1
         self._fixed: dict[str, Tensor] = {}
         if gait is not None:
@@ -128,9 +138,11 @@ class Stepping(torch.nn.Module):
 
     def _draw(self, count: int) -> dict[str, Tensor]:
         drawn = {}
-        for name, (low, high, paired) in self.GENES.items():
+        for name, (low, high, paired) in self.genes.items():
             shape = (count, self.groups) if paired else (count,)
             drawn[name] = low + (high - low) * torch.rand(shape)
+            if name in REFLEXES:
+                drawn[name] *= torch.rand(shape) >= NONE_AT_FIRST
         return drawn | {name: value.expand(count, *value.shape).clone() for name, value in self._fixed.items()}
 
     def _children(self, count: int) -> dict[str, Tensor]:
@@ -139,7 +151,7 @@ class Stepping(torch.nn.Module):
         parent = rivals.gather(1, self.fitness[rivals].argmax(dim=1, keepdim=True))[:, 0]
         descends = (torch.rand(count) < self._share) & self.fitness[parent].isfinite()
         children = self._draw(count)
-        for name, (low, high, paired) in self.GENES.items():
+        for name, (low, high, paired) in self.genes.items():
             if name in self._fixed:
                 continue
             values = getattr(self, f"best_{name}")[parent]
@@ -161,7 +173,7 @@ class Stepping(torch.nn.Module):
         share = 1.0 if self.final else self.AGAIN
         repeats = (torch.rand(len(ended)) < share) & self.fitness.isfinite()
         self.again.copy_(torch.where(ended, repeats, self.again))
-        for name, (_, _, paired) in self.GENES.items():
+        for name, (_, _, paired) in self.genes.items():
             best, now = getattr(self, f"best_{name}"), getattr(self, name)
             best.copy_(torch.where(fitter[:, None] if paired else fitter, now, best))
             next_one = torch.where(repeats[:, None] if paired else repeats, best, children[name])
@@ -174,16 +186,17 @@ class Stepping(torch.nn.Module):
         first = first[self.fitness[first].isfinite()]
         chosen = first[torch.arange(len(self.fitness)) % len(first)]
         self.finalist.copy_(chosen)
-        for name in ("fitness", *(f"best_{name}" for name in self.GENES)):
+        for name in ("fitness", *(f"best_{name}" for name in self.genes)):
             values = getattr(self, name)
             values.copy_(values[chosen].clone())
 
-    def forward(self, is_init: Tensor, returned: Tensor) -> Tensor:
+    def forward(self, is_init: Tensor, returned: Tensor, nodes: Tensor | None = None) -> Tensor:
         """Return the actions ``[robots, A]`` of the next step.
 
         Args:
             is_init: Robots whose episode begins, bool ``[robots]``.
             returned: Sum of the episode's rewards so far, ``[robots]``.
+            nodes: Observations of the nodes, ``[robots, N, F * H]``, which gaits with reflexes need.
         """
         ended = is_init | (self.age >= self._steps) | (self.age < 0)
         if not self.final and int(self.taken) >= self._last_round and self.tried:
@@ -201,19 +214,37 @@ class Stepping(torch.nn.Module):
         self.age += 1
         self.taken += 1
         self.cycles += self._dt * self._pendulum * self.frequency
-        action = self._act({name: getattr(self, name) for name in self.GENES}, self.cycles)
+        action = self._act({name: getattr(self, name) for name in self.genes}, self.cycles, nodes)
         return (action + self.NOISE * torch.randn_like(action)).clamp(-1.0, 1.0)
 
-    def _act(self, genes: dict[str, Tensor], cycles: Tensor) -> Tensor:
+    def _act(self, genes: dict[str, Tensor], cycles: Tensor, nodes: Tensor | None = None) -> Tensor:
         turn = 2 * math.pi
         phase = cycles[:, None] + genes["phase"][:, self.pair_of] + self.lagging
         lead, lag, duty, softness = (genes[name][:, None] for name in ("lead", "lag", "duty", "softness"))
         way, lift = foot_way(phase + lead, duty), foot_height(phase + lag, softness)
         forward = genes["shift"][:, self.pair_of] + genes["stride"][:, None] * way
-        up = genes["crouch"][:, None] + genes["lift"][:, None] * lift - self.arc * forward.square()
-        sway = genes["sway"] * torch.sin(turn * (cycles + genes["sway_phase"]))
-        side = sway[:, None].expand_as(up)
-        return torch.einsum("nfd,fda->na", self._length * torch.stack([forward, side, up], dim=-1), self.joints)
+        up = genes["crouch"][:, None] + genes["lift"][:, None] * lift
+        side = (genes["sway"] * torch.sin(turn * (cycles + genes["sway_phase"])))[:, None].expand_as(up)
+        if self.posture is None:
+            up = up - self.arc * forward.square()
+            moved = self._length * torch.stack([forward, side, up], dim=-1)
+            return torch.einsum("nfd,fda->na", moved, self.joints)
+        answer = reflexes(genes, self._deviation(genes, nodes), lift, self.left)
+        forward, side = forward + answer[..., 0], side + answer[..., 1]
+        up = up + answer[..., 2] - self.arc * forward.square()
+        moved = self._length * torch.stack([forward, side, up], dim=-1)
+        return torch.einsum("nfd,fda->na", torch.cat([moved, answer[..., 3:]], dim=-1), self.joints)
+
+    def _deviation(self, genes: dict[str, Tensor], nodes: Tensor | None) -> Tensor:
+        """Return the posture ``[robots, 6]`` less the steady gait's: upright, at the speed at which feet push back."""
+        if nodes is None or self.posture is None:
+            raise ValueError("a gait with reflexes needs observations of the nodes")
+        posture: Tensor = self.posture(nodes)
+        # Half of the way in a stance, leg lengths, at a pendulum's frequency.
+        speed = genes["stride"] * genes["frequency"] / (math.pi * genes["duty"])
+        steady = torch.zeros_like(posture)
+        steady[:, SENSES.index("speed")] = speed * self.posture.observed[SENSES.index("speed")]
+        return posture - steady
 
     def _fittest(self, count: int) -> dict[str, Tensor]:
         """Return the genes of the fittest gait, ``count`` times."""
@@ -221,7 +252,7 @@ class Stepping(torch.nn.Module):
         if self.final:
             means = [self.fitness[self.finalist == one].mean() for one in self.finalist]
             best = int(torch.stack(means).argmax())
-        genes = {name: getattr(self, f"best_{name}")[best] for name in self.GENES}
+        genes = {name: getattr(self, f"best_{name}")[best] for name in self.genes}
         return {name: value.expand(count, *value.shape) for name, value in genes.items()}
 
     @property
@@ -229,45 +260,50 @@ class Stepping(torch.nn.Module):
         """Return whether a gait was tried to its end."""
         return bool(self.fitness.isfinite().any())
 
-    def fittest_action(self, phase: Tensor) -> Tensor:
+    def fittest_action(self, phase: Tensor, nodes: Tensor | None = None) -> Tensor:
         """Return the actions of the fittest gait after states of the given phases; all gaits keep to one frequency.
 
         Args:
-            phase: Phase of the gait, ``[*]`` (periods).
+            phase: Phase of the gait, ``[B]`` (periods).
+            nodes: Observations of the nodes, ``[B, N, F * H]``, which gaits with reflexes need.
 
         Returns:
-            Actions, ``[*, A]``.
+            Actions, ``[B, A]``.
         """
         genes = self._fittest(len(phase))
         cycles = phase + self._dt * self._pendulum * genes["frequency"]
-        return self._act(genes, cycles).clamp(-1.0, 1.0)
+        return self._act(genes, cycles, nodes).clamp(-1.0, 1.0)
 
-    def fittest(self, steps: int) -> OpenLoop | None:
-        """Return the fittest gait as a policy for episodes of up to ``steps`` control steps, if one was tried."""
-        if not self.tried:
-            return None
-        genes = self._fittest(steps)
-        cycles = torch.arange(1, steps + 1) * self._dt * self._pendulum * genes["frequency"]
-        return OpenLoop(self._act(genes, cycles).clamp(-1.0, 1.0))
+    def phase_after(self, steps: int) -> Tensor:
+        """Return the phase of the fittest gait so many control steps after the start of an episode, ``[1]``."""
+        return steps * self._dt * self._pendulum * self._fittest(1)["frequency"]
+
+    def fittest(self) -> FittestGait | None:
+        """Return the fittest gait as a policy, if one was tried."""
+        return FittestGait(self) if self.tried else None
 
 
-class OpenLoop(TensorDictModuleBase):
-    """Act in all robots by a list of actions, whatever they observe, from the start of an episode that all begin.
+class FittestGait(TensorDictModuleBase):
+    """Act by the fittest gait of a warm-up, from the start of an episode that all robots begin.
+
+    It reads ``"nodes"`` where the gait has reflexes, and nothing else.
 
     Args:
-        actions: Action of each control step, shape ``[steps, A]``; the last one is repeated.
+        gaits: The gaits of the warm-up.
     """
 
-    def __init__(self, actions: Tensor) -> None:
+    def __init__(self, gaits: Stepping) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = list[str](), ["action"]
-        self.actions, self.taken = actions, 0
+        self.in_keys, self.out_keys = [] if gaits.posture is None else ["nodes"], ["action"]
+        self.gaits, self.taken = gaits, 0
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the next action of the list for every robot."""
-        action = self.actions[min(self.taken, len(self.actions) - 1)]
+        """Write the next action of every robot."""
+        phase = self.gaits.phase_after(self.taken).expand(tensordict.numel())
         self.taken += 1
-        return tensordict.set("action", action.expand(*tensordict.batch_size, -1).clone())
+        nodes = tensordict.get("nodes").flatten(0, -3) if self.in_keys else None
+        action = self.gaits.fittest_action(phase, nodes)
+        return tensordict.set("action", action.reshape(*tensordict.batch_size, -1))
 
 
 def foot_way(phase: Tensor, duty: Tensor) -> Tensor:
@@ -312,49 +348,3 @@ def _groups(robot: Robot) -> tuple[Tensor, Tensor]:
             lag[other] = 0.5 if other != foot else 0.0
             count += 1
     return torch.tensor(group), torch.tensor(lag)
-
-
-def _joint_paths(robot: Robot, damping: float) -> Tensor:
-    """Return the actions by which each foot moves forwards, to the side and up: ``[feet, 3, A]`` (1/m)."""
-    model, data = robot.model, mujoco.MjData(robot.model)
-    data.qpos[:] = robot.standing_qpos
-    mujoco.mj_forward(model, data)
-    scale = robot.action_map[1]
-    paths = np.zeros((len(robot.feet), 3, len(robot.actuated)))
-    for i, (foot, leg) in enumerate(zip(robot.feet, robot.legs, strict=True)):
-        shared = {joint.name for k, other in enumerate(robot.legs) if k != i for joint in other}
-        own = [joint for joint in leg if joint.name not in shared and joint.name in robot.actuated]
-        jacobian = np.zeros((3, model.nv))
-        mujoco.mj_jac(model, data, jacobian, None, robot.foot_place(data, foot), robot.foot_bodies[i])
-        moved = robot.base.frame @ jacobian[:, [joint.qvel for joint in own]]
-        # Damped least squares (Nakamura & Hanafusa 1986): a straight leg asks for no endless angles.
-        inverse = moved.T @ np.linalg.inv(moved @ moved.T + damping**2 * np.eye(3))
-        columns = [robot.actuated.index(joint.name) for joint in own]
-        paths[i][:, columns] = inverse.T / scale[columns]
-    if not paths.any():
-        raise ConfigError(
-            "exploration.warmup must not be stepping: no foot of the robot has a driven joint of its own."
-        )
-    return torch.from_numpy(paths).float()
-
-
-def _arcs(robot: Robot, paths: Tensor) -> Tensor:
-    """Return by how much each foot rises on its way forwards and backwards, ``[feet]``: ``arc * way^2``, leg lengths.
-
-    Joint angles that are proportional to the way of a foot let it go along an arc. It is measured at 0.3 leg lengths.
-    """
-    model, data = robot.model, mujoco.MjData(robot.model)
-    scale, address = robot.action_map[1], [robot.joint(name).qpos for name in robot.actuated]
-    far, length = 0.3, robot.leg_length
-
-    def place(foot: int, way: float) -> np.ndarray:
-        data.qpos[:] = robot.standing_qpos
-        data.qpos[address] += way * length * paths[foot, 0].numpy() * scale
-        mujoco.mj_kinematics(model, data)
-        return robot.base.frame @ robot.foot_place(data, robot.feet[foot])
-
-    rises = []
-    for foot in range(len(robot.feet)):
-        back, middle, front = (place(foot, way) for way in (-far, 0.0, far))
-        rises.append(((front + back) / 2 - middle)[2] / (far**2 * length))
-    return torch.tensor(rises, dtype=torch.float32)

@@ -27,6 +27,7 @@ from gctd3.tasks.ground import ORIGIN, Ground
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.memory import EpisodeMemory, Generator, Memory
 from gctd3.tasks.outcome import Outcome
+from gctd3.tasks.posture import Posture
 from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.sensor_noise import OWN_NOISE, SensorNoise
@@ -158,6 +159,7 @@ class SimulatedTask:
         )
         clocks = [feature for feature in features.values() if isinstance(feature, GaitClock)]
         self.gait = clocks[0].pattern(robot) if clocks else None
+        self.posture: Posture | None = Posture(self.table, self.history, robot.leg_length)
         self._base = robot.base
         standing = self._base.read(robot.standing_qpos, np.zeros(robot.model.nv))
         self._standing = {name: value for name, (value, _) in standing.items()}

@@ -54,7 +54,7 @@ from gctd3.viz.film import FPS, clip
 
 MOST_TIME = 0.03  # share of the wall-clock that checkpoints may take
 POST_MORTEM = "post_mortem"
-OPEN_LOOP = "open_loop.json"  # what the warm-up's fittest gait reaches without a policy
+WARMUP_GAIT = "warmup_gait.json"  # what the warm-up's fittest gait reaches without a policy
 
 
 class Trainer:
@@ -112,7 +112,8 @@ class Trainer:
         settings, task = self.settings, self.setup.task
         algorithm = settings.algo.build(self.setup.architecture(self.device))
         robots, exploration = settings.env.num_envs, settings.exploration
-        exploring = Explorer(algorithm.actor, task.robot, robots, exploration, task.control_dt, gait=task.gait)
+        body = (task.robot, robots, exploration, task.control_dt, slice(None), task.gait, task.posture)
+        exploring = Explorer(algorithm.actor, *body)
         return algorithm, exploring
 
     def _new_watch(self) -> Watch:
@@ -232,8 +233,12 @@ class Trainer:
         if not settings.updates or self.settings.init is not None or task.gait is None:
             return
         if isinstance(gait, Stepping) and gait.tried:
-            task = cast(SimulatedTask, task)
-            self.algorithm.imitation = Imitation(settings, lambda seen: gait.fittest_action(task.phase(seen["nodes"])))
+            phase = cast(SimulatedTask, task).phase
+
+            def controller(seen: TensorDictBase) -> Tensor:
+                return gait.fittest_action(phase(seen["nodes"]), seen["nodes"])
+
+            self.algorithm.imitation = Imitation(settings, controller)
 
     def _begin_again(self, line: ProgressLine) -> None:
         """Begin again with new weights, an empty replay and a warm-up; keep the best policy and, inline, the robots."""
@@ -251,8 +256,8 @@ class Trainer:
 
     def _evaluate(self) -> dict[str, float]:
         settings, now = self.settings, self.counters
-        if not (self.directory / OPEN_LOOP).exists():
-            self._evaluate_open_loop()
+        if not (self.directory / WARMUP_GAIT).exists():
+            self._evaluate_gait()
         policy = self.algorithm.policy()
         task, recorded = self.setup.task, settings.stop_when.of_motion
         result = evaluate(policy, self.evaluation_env, task, settings.evaluation.seed, record=recorded)
@@ -290,20 +295,20 @@ class Trainer:
         tqdm.write(described(again, stop_when.confirm, sure))
         return sure
 
-    def _evaluate_open_loop(self) -> None:
+    def _evaluate_gait(self) -> None:
         """Evaluate the warm-up's fittest gait without a policy, to see later what learning has added."""
         rhythm, task = self.explorer.rhythm, self.setup.task
         if not isinstance(rhythm, Stepping) or "film" not in task.abilities:
             return
-        gait = rhythm.fittest(cast(SimulatedTask, task).time_limit)
+        gait = rhythm.fittest()
         if gait is None:
             return
         metrics = evaluate(gait, self.evaluation_env, task, self.settings.evaluation.seed).summary()
         tqdm.write(
-            f"The fittest open-loop gait of the warm-up: {metrics['distance_mean']:.1f} m at "
+            f"The fittest gait of the warm-up: {metrics['distance_mean']:.1f} m at "
             f"{metrics['velocity_mean']:.2f} m/s, success {metrics['success_rate']:.0%}."
         )
-        write_text(self.directory / OPEN_LOOP, json.dumps(metrics, indent=1) + "\n")
+        write_text(self.directory / WARMUP_GAIT, json.dumps(metrics, indent=1) + "\n")
 
     def _wall(self) -> float:
         return self.counters.wall_s + time.monotonic() - self._clock

@@ -197,13 +197,13 @@ def test_gaits_that_evolve_walk(quadruped):
 def test_the_fittest_gait_can_be_played_without_noise(quadruped):
     """Before a trial there is none; then its actions are those of the gait from the start of an episode."""
     gaits = stepping(quadruped, trial=0.04)
-    assert gaits.fittest(3) is None
+    assert gaits.fittest() is None
     nothing = torch.zeros(4, dtype=torch.bool)
     gaits(torch.ones(4, dtype=torch.bool), torch.zeros(4))
     for step in range(1, 3):
         gaits(nothing, 0.01 * step * torch.tensor([0.0, 1.0, 3.0, 2.0]))
     assert int(gaits.fitness.argmax()) == 2
-    played = gaits.fittest(5)
+    played = gaits.fittest()
     genes = {name: getattr(gaits, f"best_{name}")[2:3] for name in gaits.GENES}
     cycle = 0.02 * gaits._pendulum * float(genes["frequency"])
     for step in range(1, 5):
@@ -217,8 +217,8 @@ def test_a_training_says_how_far_that_gait_gets(tmp_path, capsys):
     run = tmp_path / "run"
     asked = ["robot=quadruped", "exploration.warmup=stepping", "exploration.gait_time=0.2", "robot.action_scale=0.3"]
     assert command("train", *tiny(run, *asked)) == 0
-    assert capsys.readouterr().out.count("The fittest open-loop gait of the warm-up: ") == 1
-    reached = json.loads((run / "open_loop.json").read_text())
+    assert capsys.readouterr().out.count("The fittest gait of the warm-up: ") == 1
+    reached = json.loads((run / "warmup_gait.json").read_text())
     assert reached["episodes"] == 2 and reached["distance_mean"] < 15.1
 
 
@@ -300,7 +300,7 @@ def test_the_fittest_action_is_that_of_its_time(quadruped):
     for step in range(1, 4):
         gaits(torch.zeros(8, dtype=torch.bool), 0.01 * step * torch.rand(8))
     assert gaits.tried
-    played = gaits.fittest(30)
+    played = gaits.fittest()
     listed = torch.stack([played(TensorDict({}, [1]))["action"][0] for _ in range(30)])
     phases = (torch.arange(30) * 0.02 * 2.0) % 1.0
     torch.testing.assert_close(gaits.fittest_action(phases), listed, rtol=1e-4, atol=1e-4)
