@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from tensordict import TensorDictBase
@@ -11,10 +11,13 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from gctd3.data.commanded_stepping import CommandedStepping
 from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
 from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.robot import Robot
+from gctd3.tasks.simulated_task import SimulatedTask
+from gctd3.tasks.task import Task
 
 
 class Rhythm(torch.nn.Module):
@@ -142,6 +145,9 @@ class Explorer(TensorDictModuleBase):
         control_dt: Control period (s).
         part: Robots that this explorer moves, all by default; other explorers move the rest at the same pace.
         gait: Gait for which the policy observes a clock; feet that step in the warm-up keep to it.
+        command: Function that reads the commanded velocity ``[robots, 3]`` from the observed nodes, which feet that
+            step in the warm-up follow; ``None`` for none.
+        limit: Control steps after which an episode ends though the robot has not fallen; ``None`` for no limit.
 
     Attributes:
         frames: Control steps of all robots so far.
@@ -162,6 +168,8 @@ class Explorer(TensorDictModuleBase):
         control_dt: float = 0.02,
         part: slice = slice(None),
         gait: GaitPattern | None = None,
+        command: Callable[[Tensor], Tensor] | None = None,
+        limit: int | None = None,
     ) -> None:
         super().__init__()
         self.num_robots = num_robots
@@ -169,6 +177,7 @@ class Explorer(TensorDictModuleBase):
         stepping = settings.warmup == "stepping"
         # What tells how good a gait is, if gaits evolve.
         self._judged_by = "episode_reward" if stepping else "position" if settings.mutation_share > 0 else None
+        self._command = command if stepping else None
         self.in_keys = [*actor.in_keys, "is_init", *([self._judged_by] if self._judged_by else [])]
         self.out_keys = ["action"]
         self.actor = actor
@@ -179,8 +188,8 @@ class Explorer(TensorDictModuleBase):
             self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, settings.mutation_share)
         elif stepping:
             steps = settings.learning_starts // num_robots
-            share = settings.mutation_share
-            self.rhythm = Stepping(robot, robots, settings.gait_time, control_dt, share, gait, steps)
+            share, kind = settings.mutation_share, Stepping if command is None else CommandedStepping
+            self.rhythm = kind(robot, robots, settings.gait_time, control_dt, share, gait, steps, limit)
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
@@ -191,6 +200,21 @@ class Explorer(TensorDictModuleBase):
             memory[1::2] = math.exp(-control_dt / settings.noise_time)
         self.register_buffer("memory", memory[part])
         self.register_buffer("wander", torch.zeros(robots, robot.model.nu))
+
+    @classmethod
+    def of_task(
+        cls,
+        task: Task,
+        actor: TensorDictModuleBase,
+        num_robots: int,
+        settings: ExplorationSettings,
+        part: slice = slice(None),
+    ) -> Explorer:
+        """Build the explorer of a task; see :class:`Explorer` for the arguments."""
+        simulated = task if isinstance(task, SimulatedTask) else None
+        command = None if simulated is None else simulated.shown_command
+        limit = None if simulated is None else simulated.time_limit
+        return cls(actor, task.robot, num_robots, settings, task.control_dt, part, task.gait, command, limit)
 
     @property
     def warming_up(self) -> bool:
@@ -222,6 +246,10 @@ class Explorer(TensorDictModuleBase):
         return self.wander
 
     def _warmup(self, tensordict: TensorDictBase) -> Tensor:
+        if isinstance(self.rhythm, Stepping):
+            asked = None if self._command is None else self._command(tensordict.get("nodes"))
+            begins = tensordict.get("is_init").reshape(-1)
+            return self.rhythm(begins, tensordict.get("episode_reward").reshape(-1), asked)
         if self.rhythm is not None:
             reached = tensordict.get(self._judged_by).reshape(-1) if self._judged_by else None
             return self.rhythm(tensordict.get("is_init").reshape(-1), reached)

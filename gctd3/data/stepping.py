@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
-import mujoco
-import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from gctd3.errors import ConfigError
+from gctd3.data.foot_paths import foot_arcs, foot_groups, foot_height, foot_way, joint_paths
 from gctd3.robots.gait_pattern import GRAVITY, GaitPattern
 from gctd3.robots.robot import Robot
 
@@ -38,6 +37,7 @@ class Stepping(torch.nn.Module):
         mutation_share: Share of new gaits that descend from others.
         gait: Frequency and phases of the feet of all gaits; they evolve if ``None``.
         steps: Control steps of the warm-up; ``None`` for one without an end.
+        limit: Control steps after which an episode ends though the robot has not fallen; ``None`` for no such limit.
 
     Raises:
         ConfigError: If no foot has a driven joint of its own.
@@ -52,6 +52,7 @@ class Stepping(torch.nn.Module):
     cycles: Tensor
     start: Tensor
     last: Tensor
+    lived: Tensor
     age: Tensor
     again: Tensor
     taken: Tensor
@@ -59,7 +60,7 @@ class Stepping(torch.nn.Module):
     finalist: Tensor
 
     # Lowest and highest value of each gene, and whether each pair of feet has its own.
-    GENES: dict[str, tuple[float, float, bool]] = {  # noqa: RUF012 - a constant
+    GENES: ClassVar[dict[str, tuple[float, float, bool]]] = {
         "frequency": (1.0, 3.2, False),  # of a pendulum as long as the leg
         "stride": (0.05, 0.45, False),  # half of a foot's way to and fro, leg lengths
         "lift": (0.05, 0.5, False),  # leg lengths
@@ -74,6 +75,7 @@ class Stepping(torch.nn.Module):
         "phase": (0.0, 1.0, True),  # of a pair of feet, periods
     }
     CYCLIC = ("phase", "sway_phase")
+    REMEMBERED: ClassVar[tuple[str, ...]] = ("fitness",)  # what robots know of the gait that they remember
     MUTATION = 0.08  # standard deviation, of a gene's range
     RIVALS = 8  # robots of whom the fittest one is the parent
     FALL = 1.0  # by which a fall lowers the fitness: about what a brisk walk is worth (reward of a control step)
@@ -92,18 +94,20 @@ class Stepping(torch.nn.Module):
         mutation_share: float = 0.8,
         gait: GaitPattern | None = None,
         steps: int | None = None,
+        limit: int | None = None,
     ) -> None:
         super().__init__()
+        self._limit = math.inf if limit is None else limit
         self._length = robot.leg_length
         self._dt, self._share = control_dt, mutation_share
         self._steps = max(round(trial / control_dt), 1)
         self._last_round = math.inf if steps is None else (1.0 - self.LAST_ROUND) * steps
         self._pendulum = math.sqrt(GRAVITY / self._length) / (2 * math.pi)
-        group, lag = _groups(robot)
+        group, lag = foot_groups(robot)
         self.register_buffer("pair_of", group, persistent=False)
         self.register_buffer("lagging", lag, persistent=False)
-        self.register_buffer("joints", _joint_paths(robot, self.DAMPING * self._length), persistent=False)
-        self.register_buffer("arc", _arcs(robot, self.joints), persistent=False)
+        self.register_buffer("joints", joint_paths(robot, self.DAMPING * self._length), persistent=False)
+        self.register_buffer("arc", foot_arcs(robot, self.joints), persistent=False)
         self.groups = int(group.max()) + 1
         self._fixed: dict[str, Tensor] = {}
         if gait is not None:
@@ -119,6 +123,7 @@ class Stepping(torch.nn.Module):
         self.register_buffer("cycles", torch.zeros(num_robots))
         self.register_buffer("start", torch.zeros(num_robots))
         self.register_buffer("last", torch.zeros(num_robots))
+        self.register_buffer("lived", torch.zeros(num_robots, dtype=torch.int64))
         self.register_buffer("taken", torch.zeros((), dtype=torch.int64))
         self.register_buffer("again", torch.zeros(num_robots, dtype=torch.bool))
         self.register_buffer("final", torch.zeros((), dtype=torch.bool))
@@ -148,15 +153,12 @@ class Stepping(torch.nn.Module):
             children[name] = torch.where(descends[:, None] if paired else descends, values, children[name])
         return children
 
-    def _end(self, ended: Tensor, fell: Tensor) -> None:
+    def _end(self, ended: Tensor, begins: Tensor) -> None:
         """Remember the gaits of the trials that have ended if they are fitter, and begin new ones."""
-        tried = ended & (self.age > 0)
-        fitness = (self.last - self.start) / self._steps - self.FALL * fell
-        # Of a gait that was tried again the mean counts, in which the last trials weigh most.
-        again = tried & self.again
-        self.fitness.copy_(torch.where(again, 0.5 * (self.fitness + fitness), self.fitness))
-        fitter = tried & ~again & (fitness > self.fitness)
-        self.fitness.copy_(torch.where(fitter, fitness, self.fitness))
+        fell = begins & (self.lived < self._limit)
+        # A trial that the time limit cuts short says nothing.
+        tried = ended & (self.age > 0) & (fell | (self.age >= self._steps))
+        fitter = self._judge(tried, (self.last - self.start) / self._steps - self.FALL * fell)
         children = self._children(len(ended))
         share = 1.0 if self.final else self.AGAIN
         repeats = (torch.rand(len(ended)) < share) & self.fitness.isfinite()
@@ -167,6 +169,20 @@ class Stepping(torch.nn.Module):
             next_one = torch.where(repeats[:, None] if paired else repeats, best, children[name])
             now.copy_(torch.where(ended[:, None] if paired else ended, next_one, now))
 
+    def _judge(self, tried: Tensor, result: Tensor) -> Tensor:
+        """Take in the results of trials, and return which robots found a gait fitter than the one that they remember.
+
+        Args:
+            tried: Robots whose trial has ended, bool ``[robots]``.
+            result: Mean reward of their trial, less the penalty of a fall, ``[robots]``.
+        """
+        # Of a gait that was tried again the mean counts, in which the last trials weigh most.
+        again = tried & self.again
+        self.fitness.copy_(torch.where(again, 0.5 * (self.fitness + result), self.fitness))
+        fitter = tried & ~again & (result > self.fitness)
+        self.fitness.copy_(torch.where(fitter, result, self.fitness))
+        return fitter
+
     def _begin_last_round(self) -> None:
         """Let the robots remember the fittest few gaits, in turn, and nothing else."""
         self.final.fill_(True)
@@ -174,16 +190,17 @@ class Stepping(torch.nn.Module):
         first = first[self.fitness[first].isfinite()]
         chosen = first[torch.arange(len(self.fitness)) % len(first)]
         self.finalist.copy_(chosen)
-        for name in ("fitness", *(f"best_{name}" for name in self.GENES)):
+        for name in (*self.REMEMBERED, *(f"best_{name}" for name in self.GENES)):
             values = getattr(self, name)
             values.copy_(values[chosen].clone())
 
-    def forward(self, is_init: Tensor, returned: Tensor) -> Tensor:
+    def forward(self, is_init: Tensor, returned: Tensor, command: Tensor | None = None) -> Tensor:
         """Return the actions ``[robots, A]`` of the next step.
 
         Args:
             is_init: Robots whose episode begins, bool ``[robots]``.
             returned: Sum of the episode's rewards so far, ``[robots]``.
+            command: Commanded velocity, ``[robots, 3]`` (m/s, m/s, rad/s); ``None`` for gaits that follow none.
         """
         ended = is_init | (self.age >= self._steps) | (self.age < 0)
         if not self.final and int(self.taken) >= self._last_round and self.tried:
@@ -197,23 +214,35 @@ class Stepping(torch.nn.Module):
             self.start.copy_(torch.where(ended, returned, self.start))
             self.age.copy_(torch.where(ended, 0, self.age))
             self.cycles.copy_(torch.where(is_init, 0.0, self.cycles))
+            self.lived.copy_(torch.where(is_init, 0, self.lived))
         self.last.copy_(returned)
+        self.lived += 1
         self.age += 1
         self.taken += 1
         self.cycles += self._dt * self._pendulum * self.frequency
-        action = self._act({name: getattr(self, name) for name in self.GENES}, self.cycles)
+        action = self._act({name: getattr(self, name) for name in self.GENES}, self.cycles, command)
         return (action + self.NOISE * torch.randn_like(action)).clamp(-1.0, 1.0)
 
-    def _act(self, genes: dict[str, Tensor], cycles: Tensor) -> Tensor:
-        turn = 2 * math.pi
+    def _act(self, genes: dict[str, Tensor], cycles: Tensor, command: Tensor | None = None) -> Tensor:
         phase = cycles[:, None] + genes["phase"][:, self.pair_of] + self.lagging
         lead, lag, duty, softness = (genes[name][:, None] for name in ("lead", "lag", "duty", "softness"))
         way, lift = foot_way(phase + lead, duty), foot_height(phase + lag, softness)
-        forward = genes["shift"][:, self.pair_of] + genes["stride"][:, None] * way
-        up = genes["crouch"][:, None] + genes["lift"][:, None] * lift - self.arc * forward.square()
-        sway = genes["sway"] * torch.sin(turn * (cycles + genes["sway_phase"]))
-        side = sway[:, None].expand_as(up)
+        sway = genes["sway"] * torch.sin(2 * math.pi * (cycles + genes["sway_phase"]))
+        half, amount = self._steps_of(genes, command)
+        forward = genes["shift"][:, self.pair_of] + half[..., 0] * way
+        side = half[..., 1] * way + amount * sway[:, None]
+        up = genes["crouch"][:, None] + amount * genes["lift"][:, None] * lift - self.arc * forward.square()
         return torch.einsum("nfd,fda->na", self._length * torch.stack([forward, side, up], dim=-1), self.joints)
+
+    def _steps_of(self, genes: dict[str, Tensor], command: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Return the steps of gaits: half of each foot's way, and how much of lift and sway there is.
+
+        Returns:
+            Half of the way forward and to the left, broadcast to ``[n, feet, 2]`` (leg lengths), and a share of
+            broadcast ``[n, feet]``.
+        """
+        stride = genes["stride"]
+        return torch.stack([stride, torch.zeros_like(stride)], dim=-1)[:, None], torch.ones(1, 1)
 
     def _fittest(self, count: int) -> dict[str, Tensor]:
         """Return the genes of the fittest gait, ``count`` times."""
@@ -229,18 +258,19 @@ class Stepping(torch.nn.Module):
         """Return whether a gait was tried to its end."""
         return bool(self.fitness.isfinite().any())
 
-    def fittest_action(self, phase: Tensor) -> Tensor:
+    def fittest_action(self, phase: Tensor, command: Tensor | None = None) -> Tensor:
         """Return the actions of the fittest gait after states of the given phases; all gaits keep to one frequency.
 
         Args:
             phase: Phase of the gait, ``[*]`` (periods).
+            command: Commanded velocity, ``[*, 3]`` (m/s, m/s, rad/s); ``None`` for a gait that follows none.
 
         Returns:
             Actions, ``[*, A]``.
         """
         genes = self._fittest(len(phase))
         cycles = phase + self._dt * self._pendulum * genes["frequency"]
-        return self._act(genes, cycles).clamp(-1.0, 1.0)
+        return self._act(genes, cycles, command).clamp(-1.0, 1.0)
 
     def fittest(self, steps: int) -> OpenLoop | None:
         """Return the fittest gait as a policy for episodes of up to ``steps`` control steps, if one was tried."""
@@ -268,93 +298,3 @@ class OpenLoop(TensorDictModuleBase):
         action = self.actions[min(self.taken, len(self.actions) - 1)]
         self.taken += 1
         return tensordict.set("action", action.expand(*tensordict.batch_size, -1).clone())
-
-
-def foot_way(phase: Tensor, duty: Tensor) -> Tensor:
-    """Return how far a foot is forwards in a stride, from -1 to 1.
-
-    On the ground it moves backwards at a constant speed, as the ground does below a body of constant speed. In the air
-    it moves forwards with the least jerk (Flash & Hogan 1985) beside that speed, so that it neither jerks nor slides
-    when it lifts off and touches down.
-
-    Args:
-        phase: Phase of the foot, ``[*]`` (periods); the middle of its swing is at a quarter.
-        duty: Share of a period in which it goes backwards, ``[*]``.
-
-    Returns:
-        Places in halves of its way, ``[*]``, which it overshoots by up to 0.2 in the air.
-    """
-    swing = ((phase + 0.25) % 1.0 - 0.5) / (1.0 - duty) + 0.5
-    stance = ((phase - 0.25) % 1.0 - 0.5) / duty + 0.5
-    back = 2.0 * (1.0 - duty) / duty  # of the ground, while the foot swings
-    air = (2.0 + back) * swing**3 * ((6.0 * swing - 15.0) * swing + 10.0) - back * swing - 1.0
-    return torch.where((swing > 0.0) & (swing < 1.0), air, 1.0 - 2.0 * stance)
-
-
-def foot_height(phase: Tensor, softness: Tensor) -> Tensor:
-    """Return how high a foot is in a stride, from 0 to 1: a power of a sine in the first half of its period.
-
-    That is longer than it goes forwards, so that a leg that its load has bent is unloaded before, and loaded after.
-
-    Args:
-        phase: Phase of the foot, ``[*]`` (periods).
-        softness: The power, ``[*]``; it touches down at a speed of 0 if above 1.
-    """
-    return torch.sin(2 * math.pi * phase).clamp(min=0.0) ** softness
-
-
-def _groups(robot: Robot) -> tuple[Tensor, Tensor]:
-    """Return the number of each foot's pair, and the phase by which the second foot of a pair lags, each ``[feet]``."""
-    group, lag, count = [-1] * len(robot.feet), [0.0] * len(robot.feet), 0
-    for foot, other in enumerate(robot.mirror_feet):
-        if group[foot] < 0:
-            group[foot] = group[other] = count
-            lag[other] = 0.5 if other != foot else 0.0
-            count += 1
-    return torch.tensor(group), torch.tensor(lag)
-
-
-def _joint_paths(robot: Robot, damping: float) -> Tensor:
-    """Return the actions by which each foot moves forwards, to the side and up: ``[feet, 3, A]`` (1/m)."""
-    model, data = robot.model, mujoco.MjData(robot.model)
-    data.qpos[:] = robot.standing_qpos
-    mujoco.mj_forward(model, data)
-    scale = robot.action_map[1]
-    paths = np.zeros((len(robot.feet), 3, len(robot.actuated)))
-    for i, (foot, leg) in enumerate(zip(robot.feet, robot.legs, strict=True)):
-        shared = {joint.name for k, other in enumerate(robot.legs) if k != i for joint in other}
-        own = [joint for joint in leg if joint.name not in shared and joint.name in robot.actuated]
-        jacobian = np.zeros((3, model.nv))
-        mujoco.mj_jac(model, data, jacobian, None, robot.foot_place(data, foot), robot.foot_bodies[i])
-        moved = robot.base.frame @ jacobian[:, [joint.qvel for joint in own]]
-        # Damped least squares (Nakamura & Hanafusa 1986): a straight leg asks for no endless angles.
-        inverse = moved.T @ np.linalg.inv(moved @ moved.T + damping**2 * np.eye(3))
-        columns = [robot.actuated.index(joint.name) for joint in own]
-        paths[i][:, columns] = inverse.T / scale[columns]
-    if not paths.any():
-        raise ConfigError(
-            "exploration.warmup must not be stepping: no foot of the robot has a driven joint of its own."
-        )
-    return torch.from_numpy(paths).float()
-
-
-def _arcs(robot: Robot, paths: Tensor) -> Tensor:
-    """Return by how much each foot rises on its way forwards and backwards, ``[feet]``: ``arc * way^2``, leg lengths.
-
-    Joint angles that are proportional to the way of a foot let it go along an arc. It is measured at 0.3 leg lengths.
-    """
-    model, data = robot.model, mujoco.MjData(robot.model)
-    scale, address = robot.action_map[1], [robot.joint(name).qpos for name in robot.actuated]
-    far, length = 0.3, robot.leg_length
-
-    def place(foot: int, way: float) -> np.ndarray:
-        data.qpos[:] = robot.standing_qpos
-        data.qpos[address] += way * length * paths[foot, 0].numpy() * scale
-        mujoco.mj_kinematics(model, data)
-        return robot.base.frame @ robot.foot_place(data, robot.feet[foot])
-
-    rises = []
-    for foot in range(len(robot.feet)):
-        back, middle, front = (place(foot, way) for way in (-far, 0.0, far))
-        rises.append(((front + back) / 2 - middle)[2] / (far**2 * length))
-    return torch.tensor(rises, dtype=torch.float32)

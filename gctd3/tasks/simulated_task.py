@@ -7,7 +7,7 @@ for one robot, ``[N]`` for a batch) and returns new ones; nothing here steps a s
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -292,6 +292,11 @@ class SimulatedTask:
             if memory is not None and noise in memory:
                 nodes = nodes + memory[noise]
         return nodes
+
+    @property
+    def shown_command(self) -> Callable[[Array], Array] | None:
+        """Return a function that reads a commanded velocity from observations; ``None`` for a task without one."""
+        return None
 
     def phase(self, nodes: Array) -> Array:
         """Return the phase that a task with a clock shows in observations, in periods from an episode's start.

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
+from array_api_compat import array_namespace
 
 from gctd3.errors import ConfigError
 from gctd3.robots.settings import RobotSettings
@@ -16,8 +18,8 @@ from gctd3.tasks.reward import Reward
 from gctd3.tasks.reward_terms import Ended, Living, Tilt
 from gctd3.tasks.simulated_task import Composition, SimulatedTask
 from gctd3.tasks.terminations import Fall, Survive
-from gctd3.tasks.terms import Command, Randomisation, RewardTerm, Termination
-from gctd3.tasks.velocity_command import NAME, VelocityCommand
+from gctd3.tasks.terms import Array, Command, Randomisation, RewardTerm, Termination
+from gctd3.tasks.velocity_command import AXES, NAME, NEEDED, VelocityCommand
 from gctd3.tasks.velocity_features import COMMANDS, privileged_features, velocity_features
 from gctd3.tasks.velocity_terms import StandStill, TrackVelocity, TrackYawRate
 
@@ -86,6 +88,24 @@ class VelocityTask(SimulatedTask):
 
     name = "velocity"
     abilities = SimulatedTask.abilities | {"commands"}
+
+    @property
+    def shown_command(self) -> Callable[[Array], Array] | None:
+        """Return a function that reads the command from observations, ``None`` if they do not show all of it.
+
+        It takes observations of the nodes, ``[*, N, F * H]``, of NumPy or PyTorch, and returns the velocity forward and
+        to the left and the yaw rate, ``[*, 3]`` (m/s, m/s, rad/s); 0 for what the base cannot do.
+        """
+        known = {reading.name for row in self.table.readings for reading in row if reading is not None}
+        lacking = [axis for axis, needed in NEEDED.items() if needed not in self.facts.base]
+        asked = [name for axis, name in zip(AXES, COMMANDS, strict=True) if axis not in lacking]
+        return partial(self._command, asked) if known.issuperset(asked) else None
+
+    def _command(self, asked: Sequence[str], nodes: Array) -> Array:
+        xp, newest = array_namespace(nodes), nodes[..., (self.history - 1) * self.features :]
+        nothing = xp.zeros_like(newest[..., 0, 0])
+        shown = [newest[(..., *self.table.place(name))] if name in asked else nothing for name in COMMANDS]
+        return xp.stack(shown, axis=-1)
 
     def command_ranges(self) -> dict[str, tuple[float, float]]:
         """Return the range of each number of the command by the name of its reading (m/s, m/s, rad/s).

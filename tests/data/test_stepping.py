@@ -9,7 +9,8 @@ import torch
 from running import command, tiny
 from tensordict import TensorDict
 
-from gctd3.data.stepping import Stepping, foot_height, foot_way
+from gctd3.data.foot_paths import foot_height, foot_way
+from gctd3.data.stepping import Stepping
 from gctd3.envs.simulation import Simulation
 from gctd3.robots.gait_pattern import GaitPattern, alternating_phases
 from gctd3.robots.settings import RobotSettings
