@@ -8,7 +8,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from gctd3.data.foot_paths import foot_height, foot_places, foot_way
+from gctd3.data.command_correction import CommandCorrection
+from gctd3.data.foot_paths import foot_places
 from gctd3.data.stepping import Stepping
 from gctd3.robots.gait_pattern import GRAVITY, GaitPattern
 from gctd3.robots.robot import Robot
@@ -24,12 +25,17 @@ class CommandedStepping(Stepping):
     of the steps. A robot that is to stand keeps its feet down.
 
     Some commands are harder than others. So the fitness of a gait is what it earned beyond what is usual under its
-    command: a least-squares fit of the rewards of the last trials to sizes of the command, see :meth:`_sizes`.
+    command: a least-squares fit of the rewards of the last trials to sizes of the command, see :meth:`_sizes`. At the
+    end of the warm-up all robots try the fittest gait, and what it is asked for is corrected by how they move.
     """
 
+    places: Tensor
     results: Tensor
     asked: Tensor
     asked_so_far: Tensor
+    command: Tensor
+    held: Tensor
+    correcting: Tensor
     moments: Tensor
     earnings: Tensor
 
@@ -41,9 +47,12 @@ class CommandedStepping(Stepping):
     }
     REMEMBERED: ClassVar[tuple[str, ...]] = ("fitness", "results", "asked")
     SIZES = 6  # numbers that tell how hard a command is
-    # Speed of the fastest foot over the ground from which on feet are lifted fully, as a square root of a Froude number.
+    # Speed of the fastest foot over the ground from which on feet are lifted fully: the root of a Froude number.
     SLOW = 0.05
     MEMORY = 4  # trials of each robot over which the usual reward of a command is fitted
+    LAST_ROUND = 0.45  # share of the warm-up, at its end, in which gaits no longer evolve
+    CORRECTED = 0.2  # share of the warm-up, at its end, in which commands are corrected
+    SETTLED = 1.5  # time for which a command has held when a robot is taken to move as it will (s)
     RIDGE = 0.1  # of that fit, in trials
 
     def __init__(
@@ -64,13 +73,47 @@ class CommandedStepping(Stepping):
         self.register_buffer("asked_so_far", torch.zeros(num_robots, self.SIZES))
         self.register_buffer("moments", self.RIDGE * torch.eye(self.SIZES))
         self.register_buffer("earnings", torch.zeros(self.SIZES))
+        self.register_buffer("command", torch.full((num_robots, 3), math.nan))
+        self.register_buffer("held", torch.zeros(num_robots, dtype=torch.int64))
+        self.register_buffer("correcting", torch.zeros((), dtype=torch.bool))
+        self.correction = CommandCorrection()
+        self._correct_from = math.inf if steps is None else (1.0 - self.CORRECTED) * steps
 
-    def forward(self, is_init: Tensor, returned: Tensor, command: Tensor | None = None) -> Tensor:
-        """Return the actions ``[robots, A]`` of the next step; see :meth:`.Stepping.forward`."""
+    def forward(
+        self, is_init: Tensor, returned: Tensor, command: Tensor | None = None, moved: Tensor | None = None
+    ) -> Tensor:
+        """Return the actions ``[robots, A]`` of the next step; see :meth:`.Stepping.forward`.
+
+        Args:
+            is_init: Robots whose episode begins, bool ``[robots]``.
+            returned: Sum of the episode's rewards so far, ``[robots]``.
+            command: Commanded velocity, ``[robots, 3]`` (m/s, m/s, rad/s).
+            moved: Velocity without the body's sway, ``[robots, 3]`` (m/s, m/s, rad/s); ``None`` where it is not known,
+                and commands are not corrected.
+        """
+        if command is not None and moved is not None:
+            self._correct(is_init, command, moved)
         action = super().forward(is_init, returned, command)
         # The trial that this step belongs to may just have begun.
         self.asked_so_far.copy_(torch.where((self.age > 1)[:, None], self.asked_so_far, 0.0) + self._sizes(command))
         return action
+
+    def _correct(self, is_init: Tensor, command: Tensor, moved: Tensor) -> None:
+        """Let all robots try the fittest gait at the end of the warm-up, and correct what it is asked for."""
+        # The velocity is that under the command before.
+        changed = is_init | (command != self.command).any(dim=-1)
+        known = self.correcting & ~changed & (self.held * self._dt >= self.SETTLED)
+        if bool(known.any()):
+            self.correction.observe(command[known], moved[known])
+        self.held.copy_(torch.where(changed, 0, self.held + 1))
+        self.command.copy_(command)
+        if not self.correcting and self.final and int(self.taken) >= self._correct_from:
+            self.correcting.fill_(True)
+            for name, value in self._fittest(len(is_init)).items():
+                getattr(self, f"best_{name}").copy_(value.clone())
+                getattr(self, name).copy_(value)
+        elif self.correcting and (int(self.taken) - math.ceil(self._correct_from)) % self._steps == self._steps - 1:
+            self.correction.end_round()
 
     def _sizes(self, command: Tensor | None) -> Tensor:
         """Return numbers that tell how hard commands are: 1, whether it is to stand, and sizes, ``[n, 6]``."""
@@ -109,6 +152,6 @@ class CommandedStepping(Stepping):
             raise ValueError("Gaits that follow a command need it.")
         gains = torch.stack([genes[f"{axis}_gain"] for axis in ("forward", "side", "turn")], dim=-1)
         time = genes["duty"] / (self._pendulum * genes["frequency"])  # for which a foot is down (s)
-        half = 0.5 * time[:, None, None] / self._length * self._ground(gains * command)
+        half = 0.5 * time[:, None, None] / self._length * self._ground(gains * self.correction(command))
         fastest = self._ground(command).norm(dim=-1).amax(dim=-1, keepdim=True)
         return half, (fastest / (self.SLOW * math.sqrt(GRAVITY * self._length))).clamp(max=1.0)

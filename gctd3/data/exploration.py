@@ -147,6 +147,8 @@ class Explorer(TensorDictModuleBase):
         gait: Gait for which the policy observes a clock; feet that step in the warm-up keep to it.
         command: Function that reads the commanded velocity ``[robots, 3]`` from the observed nodes, which feet that
             step in the warm-up follow; ``None`` for none.
+        velocity: Function that reads the velocity ``[robots, 3]`` from what critics observe, by which these feet are
+            corrected; ``None`` for none.
         limit: Control steps after which an episode ends though the robot has not fallen; ``None`` for no limit.
 
     Attributes:
@@ -169,6 +171,7 @@ class Explorer(TensorDictModuleBase):
         part: slice = slice(None),
         gait: GaitPattern | None = None,
         command: Callable[[Tensor], Tensor] | None = None,
+        velocity: Callable[[Tensor], Tensor] | None = None,
         limit: int | None = None,
     ) -> None:
         super().__init__()
@@ -178,7 +181,9 @@ class Explorer(TensorDictModuleBase):
         # What tells how good a gait is, if gaits evolve.
         self._judged_by = "episode_reward" if stepping else "position" if settings.mutation_share > 0 else None
         self._command = command if stepping else None
-        self.in_keys = [*actor.in_keys, "is_init", *([self._judged_by] if self._judged_by else [])]
+        self._velocity = velocity if self._command is not None else None
+        seen = [*([self._judged_by] if self._judged_by else []), *(["counters"] if self._velocity is not None else [])]
+        self.in_keys = [*actor.in_keys, "is_init", *seen]
         self.out_keys = ["action"]
         self.actor = actor
         self.settings = settings
@@ -212,9 +217,10 @@ class Explorer(TensorDictModuleBase):
     ) -> Explorer:
         """Build the explorer of a task; see :class:`Explorer` for the arguments."""
         simulated = task if isinstance(task, SimulatedTask) else None
-        command = None if simulated is None else simulated.shown_command
-        limit = None if simulated is None else simulated.time_limit
-        return cls(actor, task.robot, num_robots, settings, task.control_dt, part, task.gait, command, limit)
+        if simulated is None:
+            return cls(actor, task.robot, num_robots, settings, task.control_dt, part, task.gait)
+        seen = simulated.shown_command, simulated.shown_velocity, simulated.time_limit
+        return cls(actor, task.robot, num_robots, settings, task.control_dt, part, task.gait, *seen)
 
     @property
     def warming_up(self) -> bool:
@@ -247,9 +253,11 @@ class Explorer(TensorDictModuleBase):
 
     def _warmup(self, tensordict: TensorDictBase) -> Tensor:
         if isinstance(self.rhythm, Stepping):
-            asked = None if self._command is None else self._command(tensordict.get("nodes"))
-            begins = tensordict.get("is_init").reshape(-1)
-            return self.rhythm(begins, tensordict.get("episode_reward").reshape(-1), asked)
+            begins, returned = (tensordict.get(key).reshape(-1) for key in ("is_init", "episode_reward"))
+            if not isinstance(self.rhythm, CommandedStepping) or self._command is None:
+                return self.rhythm(begins, returned)
+            moved = None if self._velocity is None else self._velocity(tensordict.get("counters"))
+            return self.rhythm(begins, returned, self._command(tensordict.get("nodes")), moved)
         if self.rhythm is not None:
             reached = tensordict.get(self._judged_by).reshape(-1) if self._judged_by else None
             return self.rhythm(tensordict.get("is_init").reshape(-1), reached)

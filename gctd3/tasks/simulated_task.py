@@ -298,6 +298,11 @@ class SimulatedTask:
         """Return a function that reads a commanded velocity from observations; ``None`` for a task without one."""
         return None
 
+    @property
+    def shown_velocity(self) -> Callable[[Array], Array] | None:
+        """Return a function that reads how a robot moves from counters; ``None`` for a task without commands."""
+        return None
+
     def phase(self, nodes: Array) -> Array:
         """Return the phase that a task with a clock shows in observations, in periods from an episode's start.
 
