@@ -80,7 +80,7 @@ class _Widen:
 class VelocityCommand(Command):
     """Draw the velocity that the robot is to have: forward and to the left of its heading (m/s), and turning (rad/s).
 
-    A robot of a training begins with commands to walk straight ahead, within :attr:`begin`. After each command that it
+    With :attr:`begin` a robot of a training begins with commands to walk straight ahead. After each command that it
     followed on average its box is wider by a share :attr:`widen`, up to the whole one, and after one that it did not
     follow narrower by half of that. Evaluations draw from the whole box.
 
@@ -100,7 +100,7 @@ class VelocityCommand(Command):
     side: Sequence[float] = (-0.4, 0.4)
     turn: Sequence[float] = (-0.8, 0.8)
     standing: float = 0.1
-    begin: Sequence[float] | None = (0.4, 1.0)
+    begin: Sequence[float] | None = None
     widen: float = 0.2
     error: float = 0.25
     turn_error: float = 0.3

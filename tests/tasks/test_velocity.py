@@ -240,7 +240,7 @@ def curriculum(command, velocities):
 
 
 def test_a_robot_that_follows_gets_a_wider_box():
-    command = VelocityCommand(every=0.1, widen=0.2, error=0.25, turn_error=0.3)
+    command = VelocityCommand(every=0.1, begin=(0.4, 1.0), widen=0.2, error=0.25, turn_error=0.3)
     moved = np.array(
         [
             [0.6, 0.0, 0.3],  # exactly
@@ -254,13 +254,14 @@ def test_a_robot_that_follows_gets_a_wider_box():
 
 
 def test_the_width_of_the_box_outlasts_an_episode(quadruped):
-    simulation = everyone(Simulation(quadruped, 3, threads=1))
+    task = quadruped.with_commands({"velocity": VelocityCommand(begin=(0.4, 1.0))})
+    simulation = everyone(Simulation(task, 3, threads=1))
     assert simulation.memory[WIDTH].tolist() == [0.0, 0.0, 0.0]
     simulation.memory = {**simulation.memory, WIDTH: np.array([0.2, 0.4, 1.0])}
     simulation.reset(np.array([True, False, True]))
     assert simulation.memory[WIDTH].tolist() == [0.2, 0.4, 1.0]
     assert simulation.memory["step"].tolist() == [0, 0, 0]
-    evaluated = quadruped.evaluated(quadruped.reward)
+    evaluated = task.evaluated(task.reward)
     assert WIDTH not in everyone(Simulation(evaluated, 1, threads=1)).memory
 
 
