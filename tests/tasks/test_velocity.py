@@ -209,6 +209,21 @@ def test_commands_lie_in_the_box_and_some_stand():
     np.testing.assert_allclose([moving.min(axis=0), moving.max(axis=0)], command.box.T, atol=0.02)
 
 
+def test_some_commands_are_at_the_ends_of_the_box():
+    """Each number is the lowest, 0 or the highest equally often, or drawn from between."""
+    command = VelocityCommand(forward=(-0.5, 1.0), side=(-0.4, 0.4), turn=(0.2, 0.8), standing=0.0, extreme=0.3)
+    drawn = command(np.random.default_rng(0), 6000)
+    # No turn is as slow as 0.
+    ends = np.array([[-0.5, 0.0, 1.0], [-0.4, 0.0, 0.4], [0.2, 0.2, 0.8]])
+    at = (drawn[:, :, None] == ends).any(axis=-1)
+    assert (at.all(axis=-1) == at.any(axis=-1)).all()
+    assert at.all(axis=-1).mean() == pytest.approx(0.3, abs=0.02)
+    for axis, values in enumerate(ends):
+        for value in set(values):
+            share = (values == value).mean()
+            assert (drawn[:, axis] == value).mean() == pytest.approx(0.3 * share, abs=0.02)
+
+
 def test_the_box_widens_from_straight_ahead_to_the_whole():
     command = VelocityCommand(forward=(-1.0, 1.0), side=(-0.4, 0.4), turn=(-0.8, 0.8), begin=(0.5, 1.0), standing=0.0)
     rng = np.random.default_rng(0)
