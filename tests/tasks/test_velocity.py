@@ -30,6 +30,7 @@ from gctd3.tasks.velocity_command import (
     averaged,
     velocities,
 )
+from gctd3.tasks.velocity_features import velocity_features
 from gctd3.tasks.velocity_terms import StandStill, TrackVelocity, TrackYawRate
 
 STILL = {"joint_noise": JointNoise(0.0, 0.0)}
@@ -126,6 +127,26 @@ def test_what_is_observed(quadruped):
     # Height, forward and side at the nodes root, yaw, side, with the averages, which begin as what is measured.
     expected = [seen.height[0], seen.velocity[0], seen.velocity[0], 0.0, 0.0, 0.0]
     np.testing.assert_allclose(counters, expected, atol=1e-6)
+    # What gaits read of it, from the newest of the stacked frames.
+    stacked = np.concatenate([np.zeros_like(nodes), nodes], axis=-1)
+    older = task_of(history=2)
+    np.testing.assert_allclose(older.shown_command(torch.from_numpy(stacked)), [0.7, -0.2, 0.4])
+    moving = {**memory, averaged(SWAY).name: np.array([[0.6, -0.1, 0.3]])}
+    averages = quadruped.shown_velocity(torch.from_numpy(quadruped.counters(moving, simulation.now)))
+    np.testing.assert_allclose(averages, [[0.6, -0.1, 0.3]], atol=1e-6)
+
+
+def test_gaits_read_a_command_where_it_is_observed():
+    """A robot on a boom is commanded forward only; without the feature, or for critics' eyes only, there is none."""
+    boom = task_of("biped")
+    simulation = everyone(Simulation(boom, 2, threads=1))
+    memory = {**simulation.memory, VELOCITY: np.array([[0.7, 0.0, 0.0], [-0.2, 0.0, 0.0]])}
+    stacked = np.tile(boom.node_features(simulation.now, memory), boom.history)
+    np.testing.assert_allclose(boom.shown_command(stacked), [[0.7, 0.0, 0.0], [-0.2, 0.0, 0.0]])
+    assert boom.shown_velocity(boom.counters(memory, simulation.now)).shape == (2, 3)
+    hidden = task_of(features={**velocity_features(), "command_base": None})
+    assert hidden.shown_command is None and hidden.shown_velocity is not None
+    assert task_of(privileged={}).shown_velocity is None
     with pytest.raises(ValueError, match="counters needs the measurement"):
         quadruped.counters(memory)
 
