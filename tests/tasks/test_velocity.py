@@ -134,6 +134,8 @@ def test_what_is_observed(quadruped):
     moving = {**memory, averaged(SWAY).name: np.array([[0.6, -0.1, 0.3]])}
     averages = quadruped.shown_velocity(torch.from_numpy(quadruped.counters(moving, simulation.now)))
     np.testing.assert_allclose(averages, [[0.6, -0.1, 0.3]], atol=1e-6)
+    with pytest.raises(ValueError, match="counters needs the measurement"):
+        quadruped.counters(memory)
 
 
 def test_gaits_read_a_command_where_it_is_observed():
@@ -147,8 +149,6 @@ def test_gaits_read_a_command_where_it_is_observed():
     hidden = task_of(features={**velocity_features(), "command_base": None})
     assert hidden.shown_command is None and hidden.shown_velocity is not None
     assert task_of(privileged={}).shown_velocity is None
-    with pytest.raises(ValueError, match="counters needs the measurement"):
-        quadruped.counters(memory)
 
 
 def test_a_robot_on_a_boom_is_asked_for_what_it_can_do():
