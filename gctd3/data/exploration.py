@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from tensordict import TensorDictBase
@@ -11,11 +11,14 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from gctd3.data.commanded_stepping import CommandedStepping
 from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
 from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.robot import Robot
 from gctd3.tasks.posture import Posture
+from gctd3.tasks.simulated_task import SimulatedTask
+from gctd3.tasks.task import Task
 
 
 class Rhythm(torch.nn.Module):
@@ -143,7 +146,12 @@ class Explorer(TensorDictModuleBase):
         control_dt: Control period (s).
         part: Robots that this explorer moves, all by default; other explorers move the rest at the same pace.
         gait: Gait for which the policy observes a clock; feet that step in the warm-up keep to it.
-        posture: What shows the body's posture in observations, to which feet that step may answer.
+        command: Function that reads the commanded velocity ``[robots, 3]`` from the observed nodes, which feet that
+            step in the warm-up follow; ``None`` for none.
+        velocity: Function that reads the velocity ``[robots, 3]`` from what critics observe, by which these feet are
+            corrected; ``None`` for none.
+        limit: Control steps after which an episode ends though the robot has not fallen; ``None`` for no limit.
+        posture: What shows the body's posture in the observed nodes, to which feet that step may answer.
 
     Attributes:
         frames: Control steps of all robots so far.
@@ -164,17 +172,23 @@ class Explorer(TensorDictModuleBase):
         control_dt: float = 0.02,
         part: slice = slice(None),
         gait: GaitPattern | None = None,
+        command: Callable[[Tensor], Tensor] | None = None,
+        velocity: Callable[[Tensor], Tensor] | None = None,
+        limit: int | None = None,
         posture: Posture | None = None,
     ) -> None:
         super().__init__()
         self.num_robots = num_robots
         robots = len(range(num_robots)[part])
         stepping = settings.warmup == "stepping"
-        answered = posture if stepping and settings.answers(robot) else None
         # What tells how good a gait is, if gaits evolve.
         self._judged_by = "episode_reward" if stepping else "position" if settings.mutation_share > 0 else None
-        self.in_keys = [*actor.in_keys, "is_init", *([self._judged_by] if self._judged_by else [])]
-        if answered is not None and "nodes" not in self.in_keys:
+        self._command = command if stepping else None
+        self._velocity = velocity if self._command is not None else None
+        self._posture = posture if stepping and settings.answers(robot) else None
+        seen = [*([self._judged_by] if self._judged_by else []), *(["counters"] if self._velocity is not None else [])]
+        self.in_keys = [*actor.in_keys, "is_init", *seen]
+        if self._posture is not None and "nodes" not in self.in_keys:
             self.in_keys.append("nodes")
         self.out_keys = ["action"]
         self.actor = actor
@@ -185,8 +199,9 @@ class Explorer(TensorDictModuleBase):
             self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, settings.mutation_share)
         elif stepping:
             steps = settings.learning_starts // num_robots
-            trial, share = settings.trial(robot), settings.mutation_share
-            self.rhythm = Stepping(robot, robots, trial, control_dt, share, gait, steps, answered)
+            share, kind = settings.mutation_share, Stepping if command is None else CommandedStepping
+            trial, balances = settings.trial(robot), self._posture is not None
+            self.rhythm = kind(robot, robots, trial, control_dt, share, gait, steps, limit, balances)
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
@@ -197,6 +212,22 @@ class Explorer(TensorDictModuleBase):
             memory[1::2] = math.exp(-control_dt / settings.noise_time)
         self.register_buffer("memory", memory[part])
         self.register_buffer("wander", torch.zeros(robots, robot.model.nu))
+
+    @classmethod
+    def of_task(
+        cls,
+        task: Task,
+        actor: TensorDictModuleBase,
+        num_robots: int,
+        settings: ExplorationSettings,
+        part: slice = slice(None),
+    ) -> Explorer:
+        """Build the explorer of a task; see :class:`Explorer` for the arguments."""
+        simulated = task if isinstance(task, SimulatedTask) else None
+        if simulated is None:
+            return cls(actor, task.robot, num_robots, settings, task.control_dt, part, task.gait)
+        seen = simulated.shown_command, simulated.shown_velocity, simulated.time_limit, simulated.posture
+        return cls(actor, task.robot, num_robots, settings, task.control_dt, part, task.gait, *seen)
 
     @property
     def warming_up(self) -> bool:
@@ -228,12 +259,16 @@ class Explorer(TensorDictModuleBase):
         return self.wander
 
     def _warmup(self, tensordict: TensorDictBase) -> Tensor:
+        if isinstance(self.rhythm, Stepping):
+            begins, returned = (tensordict.get(key).reshape(-1) for key in ("is_init", "episode_reward"))
+            posture = None if self._posture is None else self._posture(tensordict.get("nodes"))
+            if not isinstance(self.rhythm, CommandedStepping) or self._command is None:
+                return self.rhythm(begins, returned, None, posture)
+            moved = None if self._velocity is None else self._velocity(tensordict.get("counters"))
+            return self.rhythm(begins, returned, self._command(tensordict.get("nodes")), posture, moved)
         if self.rhythm is not None:
             reached = tensordict.get(self._judged_by).reshape(-1) if self._judged_by else None
-            is_init = tensordict.get("is_init").reshape(-1)
-            if isinstance(self.rhythm, Stepping) and self.rhythm.posture is not None:
-                return self.rhythm(is_init, reached, tensordict.get("nodes"))
-            return self.rhythm(is_init, reached)
+            return self.rhythm(tensordict.get("is_init").reshape(-1), reached)
         if (int(self.frames) // self.num_robots) % self.settings.hold == 0:
             self.held.uniform_(-1.0, 1.0)
         return self.held.clone()

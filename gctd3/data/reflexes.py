@@ -33,7 +33,7 @@ def reflexes(genes: dict[str, Tensor], posture: Tensor, lift: Tensor, left: Tens
 
     Args:
         genes: Gains by name, ``[robots]``.
-        posture: Senses less those of the steady gait, ``[robots, 6]``.
+        posture: Senses less those of the steady gait, ``[robots, 6]``; NaN for what is not seen, which moves nothing.
         lift: How high each foot is in its stride, from 0 to 1, ``[robots, feet]``.
         left: 1 for feet on the left, -1 on the right, ``[feet]``.
 
@@ -41,7 +41,7 @@ def reflexes(genes: dict[str, Tensor], posture: Tensor, lift: Tensor, left: Tens
         Displacements forward, to the side and up (leg lengths), and pitch and roll of the sole (rad),
         ``[robots, feet, 5]``.
     """
-    sensed = dict(zip(SENSES, posture.clamp(-1.0, 1.0).unbind(-1), strict=True))
+    sensed = dict(zip(SENSES, posture.nan_to_num(0.0).clamp(-1.0, 1.0).unbind(-1), strict=True))
 
     def sum_of(what: str, senses: tuple[str, ...]) -> Tensor:
         return torch.stack([genes[f"{what}_{sense}"] * sensed[sense] for sense in senses]).sum(0)[:, None]

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from gctd3.data.foot_paths import foot_arcs, foot_groups, foot_height, foot_places, foot_way, joint_paths
 from gctd3.data.reflexes import GENES as REFLEXES
 from gctd3.data.reflexes import NONE_AT_FIRST, reflexes
-from gctd3.robots.foot_paths import arcs, joint_paths, sides
 from gctd3.robots.gait_pattern import GRAVITY, GaitPattern
 from gctd3.robots.robot import Robot
-from gctd3.tasks.posture import SENSES, Posture
+from gctd3.tasks.posture import SENSES
 
 
 class Stepping(torch.nn.Module):
@@ -31,8 +32,8 @@ class Stepping(torch.nn.Module):
     a policy, they cost a gait. Lengths are in leg lengths and frequencies in those of a pendulum as long as the leg, so
     that the same numbers serve robots of all sizes.
 
-    The gaits are open-loop ones unless ``posture`` is given: then feet answer to the body's posture
-    (:func:`.reflexes`), with gains that evolve too, and legs with joints enough keep their soles level.
+    The gaits are open-loop ones unless they have reflexes: then feet answer to the body's posture (:func:`.reflexes`),
+    with gains that evolve too, and legs with joints enough keep their soles level.
 
     Args:
         robot: The robot.
@@ -42,7 +43,8 @@ class Stepping(torch.nn.Module):
         mutation_share: Share of new gaits that descend from others.
         gait: Frequency and phases of the feet of all gaits; they evolve if ``None``.
         steps: Control steps of the warm-up; ``None`` for one without an end.
-        posture: What shows the body's posture in observations; ``None`` for open-loop gaits.
+        limit: Control steps after which an episode ends though the robot has not fallen; ``None`` for no such limit.
+        balances: Whether gaits have reflexes.
 
     Raises:
         ConfigError: If no foot has a driven joint of its own.
@@ -58,14 +60,15 @@ class Stepping(torch.nn.Module):
     cycles: Tensor
     start: Tensor
     last: Tensor
+    lived: Tensor
     age: Tensor
     again: Tensor
     taken: Tensor
     final: Tensor
     finalist: Tensor
 
-    # Lowest and highest value of each gene, and whether each pair of feet has its own; gaits with reflexes have more.
-    GENES: dict[str, tuple[float, float, bool]] = {  # noqa: RUF012 - a constant
+    # Lowest and highest value of each gene, and whether each pair of feet has its own; reflexes have more.
+    GENES: ClassVar[dict[str, tuple[float, float, bool]]] = {
         "frequency": (1.0, 3.2, False),  # of a pendulum as long as the leg
         "stride": (0.05, 0.45, False),  # half of a foot's way to and fro, leg lengths
         "lift": (0.05, 0.5, False),  # leg lengths
@@ -80,6 +83,7 @@ class Stepping(torch.nn.Module):
         "phase": (0.0, 1.0, True),  # of a pair of feet, periods
     }
     CYCLIC = ("phase", "sway_phase")
+    REMEMBERED: ClassVar[tuple[str, ...]] = ("fitness",)  # what robots know of the gait that they remember
     MUTATION = 0.08  # standard deviation, of a gene's range
     RIVALS = 8  # robots of whom the fittest one is the parent
     FALL = 1.0  # by which a fall lowers the fitness: about what a brisk walk is worth (reward of a control step)
@@ -98,22 +102,24 @@ class Stepping(torch.nn.Module):
         mutation_share: float = 0.8,
         gait: GaitPattern | None = None,
         steps: int | None = None,
-        posture: Posture | None = None,
+        limit: int | None = None,
+        balances: bool = False,
     ) -> None:
         super().__init__()
-        self._length, self.posture = robot.leg_length, posture
-        self.genes = self.GENES if posture is None else self.GENES | REFLEXES
+        self.balances = balances
+        self.genes = self.GENES | (REFLEXES if balances else {})
+        self._limit = math.inf if limit is None else limit
+        self._length = robot.leg_length
         self._dt, self._share = control_dt, mutation_share
         self._steps = max(round(trial / control_dt), 1)
         self._last_round = math.inf if steps is None else (1.0 - self.LAST_ROUND) * steps
         self._pendulum = math.sqrt(GRAVITY / self._length) / (2 * math.pi)
-        group, lag = _groups(robot)
+        group, lag = foot_groups(robot)
         self.register_buffer("pair_of", group, persistent=False)
         self.register_buffer("lagging", lag, persistent=False)
-        paths = joint_paths(robot, self.DAMPING * self._length, soles=posture is not None)
-        self.register_buffer("joints", torch.from_numpy(paths if posture else paths[:, :3]).float(), persistent=False)
-        self.register_buffer("arc", torch.from_numpy(arcs(robot, paths)).float(), persistent=False)
-        self.register_buffer("left", torch.from_numpy(sides(robot)).float(), persistent=False)
+        self.register_buffer("joints", joint_paths(robot, self.DAMPING * self._length, balances), persistent=False)
+        self.register_buffer("arc", foot_arcs(robot, self.joints), persistent=False)
+        self.register_buffer("left", foot_places(robot)[:, 1].sign(), persistent=False)
         self.groups = int(group.max()) + 1
         self._fixed: dict[str, Tensor] = {}
         if gait is not None:
@@ -129,6 +135,7 @@ class Stepping(torch.nn.Module):
         self.register_buffer("cycles", torch.zeros(num_robots))
         self.register_buffer("start", torch.zeros(num_robots))
         self.register_buffer("last", torch.zeros(num_robots))
+        self.register_buffer("lived", torch.zeros(num_robots, dtype=torch.int64))
         self.register_buffer("taken", torch.zeros((), dtype=torch.int64))
         self.register_buffer("again", torch.zeros(num_robots, dtype=torch.bool))
         self.register_buffer("final", torch.zeros((), dtype=torch.bool))
@@ -160,15 +167,12 @@ class Stepping(torch.nn.Module):
             children[name] = torch.where(descends[:, None] if paired else descends, values, children[name])
         return children
 
-    def _end(self, ended: Tensor, fell: Tensor) -> None:
+    def _end(self, ended: Tensor, begins: Tensor) -> None:
         """Remember the gaits of the trials that have ended if they are fitter, and begin new ones."""
-        tried = ended & (self.age > 0)
-        fitness = (self.last - self.start) / self._steps - self.FALL * fell
-        # Of a gait that was tried again the mean counts, in which the last trials weigh most.
-        again = tried & self.again
-        self.fitness.copy_(torch.where(again, 0.5 * (self.fitness + fitness), self.fitness))
-        fitter = tried & ~again & (fitness > self.fitness)
-        self.fitness.copy_(torch.where(fitter, fitness, self.fitness))
+        fell = begins & (self.lived < self._limit)
+        # A trial that the time limit cuts short says nothing.
+        tried = ended & (self.age > 0) & (fell | (self.age >= self._steps))
+        fitter = self._judge(tried, (self.last - self.start) / self._steps - self.FALL * fell)
         children = self._children(len(ended))
         share = 1.0 if self.final else self.AGAIN
         repeats = (torch.rand(len(ended)) < share) & self.fitness.isfinite()
@@ -179,6 +183,20 @@ class Stepping(torch.nn.Module):
             next_one = torch.where(repeats[:, None] if paired else repeats, best, children[name])
             now.copy_(torch.where(ended[:, None] if paired else ended, next_one, now))
 
+    def _judge(self, tried: Tensor, result: Tensor) -> Tensor:
+        """Take in the results of trials, and return which robots found a gait fitter than the one that they remember.
+
+        Args:
+            tried: Robots whose trial has ended, bool ``[robots]``.
+            result: Mean reward of their trial, less the penalty of a fall, ``[robots]``.
+        """
+        # Of a gait that was tried again the mean counts, in which the last trials weigh most.
+        again = tried & self.again
+        self.fitness.copy_(torch.where(again, 0.5 * (self.fitness + result), self.fitness))
+        fitter = tried & ~again & (result > self.fitness)
+        self.fitness.copy_(torch.where(fitter, result, self.fitness))
+        return fitter
+
     def _begin_last_round(self) -> None:
         """Let the robots remember the fittest few gaits, in turn, and nothing else."""
         self.final.fill_(True)
@@ -186,17 +204,20 @@ class Stepping(torch.nn.Module):
         first = first[self.fitness[first].isfinite()]
         chosen = first[torch.arange(len(self.fitness)) % len(first)]
         self.finalist.copy_(chosen)
-        for name in ("fitness", *(f"best_{name}" for name in self.genes)):
+        for name in (*self.REMEMBERED, *(f"best_{name}" for name in self.genes)):
             values = getattr(self, name)
             values.copy_(values[chosen].clone())
 
-    def forward(self, is_init: Tensor, returned: Tensor, nodes: Tensor | None = None) -> Tensor:
+    def forward(
+        self, is_init: Tensor, returned: Tensor, command: Tensor | None = None, posture: Tensor | None = None
+    ) -> Tensor:
         """Return the actions ``[robots, A]`` of the next step.
 
         Args:
             is_init: Robots whose episode begins, bool ``[robots]``.
             returned: Sum of the episode's rewards so far, ``[robots]``.
-            nodes: Observations of the nodes, ``[robots, N, F * H]``, which gaits with reflexes need.
+            command: Commanded velocity, ``[robots, 3]`` (m/s, m/s, rad/s); ``None`` for gaits that follow none.
+            posture: The body's posture, ``[robots, 6]`` (:class:`.Posture`), which gaits with reflexes need.
         """
         ended = is_init | (self.age >= self._steps) | (self.age < 0)
         if not self.final and int(self.taken) >= self._last_round and self.tried:
@@ -210,41 +231,58 @@ class Stepping(torch.nn.Module):
             self.start.copy_(torch.where(ended, returned, self.start))
             self.age.copy_(torch.where(ended, 0, self.age))
             self.cycles.copy_(torch.where(is_init, 0.0, self.cycles))
+            self.lived.copy_(torch.where(is_init, 0, self.lived))
         self.last.copy_(returned)
+        self.lived += 1
         self.age += 1
         self.taken += 1
         self.cycles += self._dt * self._pendulum * self.frequency
-        action = self._act({name: getattr(self, name) for name in self.genes}, self.cycles, nodes)
+        action = self._act({name: getattr(self, name) for name in self.genes}, self.cycles, command, posture)
         return (action + self.NOISE * torch.randn_like(action)).clamp(-1.0, 1.0)
 
-    def _act(self, genes: dict[str, Tensor], cycles: Tensor, nodes: Tensor | None = None) -> Tensor:
-        turn = 2 * math.pi
+    def _act(
+        self,
+        genes: dict[str, Tensor],
+        cycles: Tensor,
+        command: Tensor | None = None,
+        posture: Tensor | None = None,
+    ) -> Tensor:
         phase = cycles[:, None] + genes["phase"][:, self.pair_of] + self.lagging
         lead, lag, duty, softness = (genes[name][:, None] for name in ("lead", "lag", "duty", "softness"))
         way, lift = foot_way(phase + lead, duty), foot_height(phase + lag, softness)
-        forward = genes["shift"][:, self.pair_of] + genes["stride"][:, None] * way
-        up = genes["crouch"][:, None] + genes["lift"][:, None] * lift
-        side = (genes["sway"] * torch.sin(turn * (cycles + genes["sway_phase"])))[:, None].expand_as(up)
-        if self.posture is None:
-            up = up - self.arc * forward.square()
-            moved = self._length * torch.stack([forward, side, up], dim=-1)
-            return torch.einsum("nfd,fda->na", moved, self.joints)
-        answer = reflexes(genes, self._deviation(genes, nodes), lift, self.left)
-        forward, side = forward + answer[..., 0], side + answer[..., 1]
-        up = up + answer[..., 2] - self.arc * forward.square()
-        moved = self._length * torch.stack([forward, side, up], dim=-1)
-        return torch.einsum("nfd,fda->na", torch.cat([moved, answer[..., 3:]], dim=-1), self.joints)
+        sway = genes["sway"] * torch.sin(2 * math.pi * (cycles + genes["sway_phase"]))
+        half, amount = self._steps_of(genes, command)
+        forward = genes["shift"][:, self.pair_of] + half[..., 0] * way
+        side = half[..., 1] * way + amount * sway[:, None]
+        up = genes["crouch"][:, None] + amount * genes["lift"][:, None] * lift
+        if not self.balances:
+            moved = torch.stack([forward, side, up - self.arc * forward.square()], dim=-1)
+            return torch.einsum("nfd,fda->na", self._length * moved, self.joints)
+        if posture is None:
+            raise ValueError("Gaits with reflexes need the body's posture.")
+        answer = reflexes(genes, posture - self._steady(genes, half, posture), lift, self.left)
+        forward, side, up = (path + answer[..., k] for k, path in enumerate((forward, side, up)))
+        moved = torch.stack([forward, side, up - self.arc * forward.square()], dim=-1)
+        return torch.einsum("nfd,fda->na", torch.cat([self._length * moved, answer[..., 3:]], dim=-1), self.joints)
 
-    def _deviation(self, genes: dict[str, Tensor], nodes: Tensor | None) -> Tensor:
-        """Return the posture ``[robots, 6]`` less the steady gait's: upright, at the speed at which feet push back."""
-        if nodes is None or self.posture is None:
-            raise ValueError("a gait with reflexes needs observations of the nodes")
-        posture: Tensor = self.posture(nodes)
-        # Half of the way in a stance, leg lengths, at a pendulum's frequency.
-        speed = genes["stride"] * genes["frequency"] / (math.pi * genes["duty"])
+    @staticmethod
+    def _steady(genes: dict[str, Tensor], half: Tensor, posture: Tensor) -> Tensor:
+        """Return the posture of the steady gait: upright, at the velocity at which feet push the ground back."""
+        # Half of a foot's way in a stance, in units of a pendulum as long as the leg.
+        velocity = half.mean(dim=1) * (genes["frequency"] / (math.pi * genes["duty"]))[:, None]
         steady = torch.zeros_like(posture)
-        steady[:, SENSES.index("speed")] = speed * self.posture.observed[SENSES.index("speed")]
-        return posture - steady
+        steady[:, SENSES.index("speed")], steady[:, SENSES.index("drift")] = velocity.unbind(-1)
+        return steady
+
+    def _steps_of(self, genes: dict[str, Tensor], command: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Return the steps of gaits: half of each foot's way, and how much of lift and sway there is.
+
+        Returns:
+            Half of the way forward and to the left, broadcast to ``[n, feet, 2]`` (leg lengths), and a share of
+            broadcast ``[n, feet]``.
+        """
+        stride = genes["stride"]
+        return torch.stack([stride, torch.zeros_like(stride)], dim=-1)[:, None], torch.ones(1, 1)
 
     def _fittest(self, count: int) -> dict[str, Tensor]:
         """Return the genes of the fittest gait, ``count`` times."""
@@ -260,91 +298,44 @@ class Stepping(torch.nn.Module):
         """Return whether a gait was tried to its end."""
         return bool(self.fitness.isfinite().any())
 
-    def fittest_action(self, phase: Tensor, nodes: Tensor | None = None) -> Tensor:
+    def fittest_action(self, phase: Tensor, command: Tensor | None = None, posture: Tensor | None = None) -> Tensor:
         """Return the actions of the fittest gait after states of the given phases; all gaits keep to one frequency.
 
         Args:
-            phase: Phase of the gait, ``[B]`` (periods).
-            nodes: Observations of the nodes, ``[B, N, F * H]``, which gaits with reflexes need.
+            phase: Phase of the gait, ``[*]`` (periods).
+            command: Commanded velocity, ``[*, 3]`` (m/s, m/s, rad/s); ``None`` for a gait that follows none.
+            posture: The body's posture, ``[*, 6]``, which a gait with reflexes needs.
 
         Returns:
-            Actions, ``[B, A]``.
+            Actions, ``[*, A]``.
         """
         genes = self._fittest(len(phase))
         cycles = phase + self._dt * self._pendulum * genes["frequency"]
-        return self._act(genes, cycles, nodes).clamp(-1.0, 1.0)
+        return self._act(genes, cycles, command, posture).clamp(-1.0, 1.0)
 
-    def phase_after(self, steps: int) -> Tensor:
-        """Return the phase of the fittest gait so many control steps after the start of an episode, ``[1]``."""
-        return steps * self._dt * self._pendulum * self._fittest(1)["frequency"]
+    def fittest(self, steps: int) -> OpenLoop | None:
+        """Return the fittest gait as a policy for episodes of up to ``steps`` control steps, if one was tried."""
+        if not self.tried:
+            return None
+        genes = self._fittest(steps)
+        cycles = torch.arange(1, steps + 1) * self._dt * self._pendulum * genes["frequency"]
+        return OpenLoop(self._act(genes, cycles).clamp(-1.0, 1.0))
 
-    def fittest(self) -> FittestGait | None:
-        """Return the fittest gait as a policy, if one was tried."""
-        return FittestGait(self) if self.tried else None
 
-
-class FittestGait(TensorDictModuleBase):
-    """Act by the fittest gait of a warm-up, from the start of an episode that all robots begin.
-
-    It reads ``"nodes"`` where the gait has reflexes, and nothing else.
+class OpenLoop(TensorDictModuleBase):
+    """Act in all robots by a list of actions, whatever they observe, from the start of an episode that all begin.
 
     Args:
-        gaits: The gaits of the warm-up.
+        actions: Action of each control step, shape ``[steps, A]``; the last one is repeated.
     """
 
-    def __init__(self, gaits: Stepping) -> None:
+    def __init__(self, actions: Tensor) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = [] if gaits.posture is None else ["nodes"], ["action"]
-        self.gaits, self.taken = gaits, 0
+        self.in_keys, self.out_keys = list[str](), ["action"]
+        self.actions, self.taken = actions, 0
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the next action of every robot."""
-        phase = self.gaits.phase_after(self.taken).expand(tensordict.numel())
+        """Write the next action of the list for every robot."""
+        action = self.actions[min(self.taken, len(self.actions) - 1)]
         self.taken += 1
-        nodes = tensordict.get("nodes").flatten(0, -3) if self.in_keys else None
-        action = self.gaits.fittest_action(phase, nodes)
-        return tensordict.set("action", action.reshape(*tensordict.batch_size, -1))
-
-
-def foot_way(phase: Tensor, duty: Tensor) -> Tensor:
-    """Return how far a foot is forwards in a stride, from -1 to 1.
-
-    On the ground it moves backwards at a constant speed, as the ground does below a body of constant speed. In the air
-    it moves forwards with the least jerk (Flash & Hogan 1985) beside that speed, so that it neither jerks nor slides
-    when it lifts off and touches down.
-
-    Args:
-        phase: Phase of the foot, ``[*]`` (periods); the middle of its swing is at a quarter.
-        duty: Share of a period in which it goes backwards, ``[*]``.
-
-    Returns:
-        Places in halves of its way, ``[*]``, which it overshoots by up to 0.2 in the air.
-    """
-    swing = ((phase + 0.25) % 1.0 - 0.5) / (1.0 - duty) + 0.5
-    stance = ((phase - 0.25) % 1.0 - 0.5) / duty + 0.5
-    back = 2.0 * (1.0 - duty) / duty  # of the ground, while the foot swings
-    air = (2.0 + back) * swing**3 * ((6.0 * swing - 15.0) * swing + 10.0) - back * swing - 1.0
-    return torch.where((swing > 0.0) & (swing < 1.0), air, 1.0 - 2.0 * stance)
-
-
-def foot_height(phase: Tensor, softness: Tensor) -> Tensor:
-    """Return how high a foot is in a stride, from 0 to 1: a power of a sine in the first half of its period.
-
-    That is longer than it goes forwards, so that a leg that its load has bent is unloaded before, and loaded after.
-
-    Args:
-        phase: Phase of the foot, ``[*]`` (periods).
-        softness: The power, ``[*]``; it touches down at a speed of 0 if above 1.
-    """
-    return torch.sin(2 * math.pi * phase).clamp(min=0.0) ** softness
-
-
-def _groups(robot: Robot) -> tuple[Tensor, Tensor]:
-    """Return the number of each foot's pair, and the phase by which the second foot of a pair lags, each ``[feet]``."""
-    group, lag, count = [-1] * len(robot.feet), [0.0] * len(robot.feet), 0
-    for foot, other in enumerate(robot.mirror_feet):
-        if group[foot] < 0:
-            group[foot] = group[other] = count
-            lag[other] = 0.5 if other != foot else 0.0
-            count += 1
-    return torch.tensor(group), torch.tensor(lag)
+        return tensordict.set("action", action.expand(*tensordict.batch_size, -1).clone())

@@ -131,9 +131,7 @@ class WorkerCollector:
         actor, recipe = copy.deepcopy(self.explorer.actor).to("cpu").requires_grad_(False), self.recipe
         task, robots = recipe.task, recipe.settings.num_envs
         exploration = self.explorer.settings
-        explorer = Explorer(
-            actor, task.robot, robots, exploration, task.control_dt, slot.share, task.gait, task.posture
-        )
+        explorer = Explorer.of_task(task, actor, robots, exploration, slot.share)
         explorer.frames.fill_(frames)
         job = Job(slot.share, seed, self.workers.cpus, self.steps, recipe, Policy(explorer))
         slot.worker, slot.started = None, slot.started + 1

@@ -180,8 +180,8 @@ class VelocityVectorEnv(BipedVectorEnv):
     Args:
         num_envs: Number of robots simulated side by side.
         robot: As for :class:`BipedVectorEnv`.
-        curriculum: Whether commands begin straight ahead and their box widens; ``False`` for the whole box, as in
-            evaluations.
+        curriculum: Whether commands begin straight ahead and their box widens, if ``task.commands.velocity.begin`` says
+            so; ``False`` for the task as it is evaluated.
         settings: Other arguments of :class:`BipedVectorEnv`, but for ``task``; the reward is by default that of
             ``task=velocity``, as the robot's own settings change it.
 

@@ -20,7 +20,6 @@ from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
-from gctd3.tasks.posture import Posture
 from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.task import Ability
@@ -42,7 +41,6 @@ class LibraryTask:
 
     num_counters = 0
     gait: GaitPattern | None = None
-    posture: Posture | None = None
     backends: tuple[str, ...] = ("library",)
     abilities: frozenset[Ability] = frozenset()
     endless = False

@@ -14,7 +14,7 @@ from gctd3.evaluation.episode import Episode
 from gctd3.evaluation.perturbations import PolicyFunction
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.settings import SETTLE, CommandGrid
-from gctd3.evaluation.tracking import errors, settled
+from gctd3.evaluation.tracking import errors, is_near, settled
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.tasks.velocity_command import AXES, NAME, HeldCommand
 
@@ -28,7 +28,8 @@ def examine(
 
     ``mean_abs_error`` is the mean absolute difference of the robot's velocity in each control step from the command,
     ``mean`` the mean velocity, both without the first second of each episode; ``None`` for a command under which no
-    robot stood for longer.
+    robot stood for longer. A command is ``followed`` if no robot fell and the mean velocity is within 0.15 m/s and 0.2
+    rad/s of it.
 
     Args:
         policy: The policy.
@@ -53,6 +54,7 @@ def examine(
         "commands": commands,
         "whole": {
             "commands": len(commands),
+            "followed": sum(one["followed"] for one in commands),
             "mean_abs_error": whole,
             "fall_rate": float(np.mean([episode.fell for episode in episodes])),
         },
@@ -66,12 +68,14 @@ def _of_command(command: np.ndarray, episodes: Sequence[Episode], control_dt: fl
         for episode in episodes
         if episode.command is not None and episode.moved is not None and errors(episode, control_dt) is not None
     ]
+    fell, mean = sum(episode.fell for episode in episodes), np.mean(moved, axis=0) if moved else None
     return {
         "command": named(command),
         "episodes": len(episodes),
-        "falls": sum(episode.fell for episode in episodes),
+        "falls": fell,
+        "followed": mean is not None and not fell and is_near(mean - command),
         "mean_abs_error": named(np.mean(off, axis=0)) if off else None,
-        "mean": named(np.mean(moved, axis=0)) if moved else None,
+        "mean": None if mean is None else named(mean),
     }
 
 
@@ -89,6 +93,7 @@ def table(results: Mapping[str, Any]) -> str:
         lines.append("".join(map(_cells, parts)) + f"{one['falls']:>4} of {one['episodes']}")
     whole = results["whole"]
     lines.append(f"{'all':>24}{'':24}{_cells(whole['mean_abs_error'])}{whole['fall_rate']:>8.0%}")
+    lines.append(f"{whole['followed']} of {whole['commands']} commands are followed.")
     return "\n".join(lines)
 
 

@@ -268,6 +268,7 @@ def table(report: dict[str, object]) -> str:
         rows += [("velocity, m/s", "velocity_mean", "{:.3f}", None), ("distance, m", "distance_mean", "{:.2f}", None)]
     if "error_forward" in report:
         rows += [
+            ("commands followed", "followed_rate", "{:.0%}", None),
             ("error forward, m/s", "error_forward", "{:.3f}", None),
             ("error to the side, m/s", "error_side", "{:.3f}", None),
             ("error of the yaw rate, rad/s", "error_turn", "{:.3f}", None),

@@ -35,7 +35,7 @@ class Posture:
         leg_length: Length ``L`` of the legs (m).
 
     Attributes:
-        observed: Whether each of ``SENSES`` is observed; those that are not read 0.
+        observed: Whether each of ``SENSES`` is observed.
     """
 
     def __init__(self, table: FeatureTable, history: int, leg_length: float) -> None:
@@ -60,10 +60,10 @@ class Posture:
             nodes: Observations of the nodes, ``[*, N, F * H]``, of NumPy or PyTorch.
 
         Returns:
-            Senses in the order of ``SENSES``, ``[*, 6]``.
+            Senses in the order of ``SENSES``, ``[*, 6]``; NaN for what is not observed.
         """
         xp = array_namespace(nodes)
-        nothing = xp.zeros_like(nodes[..., 0, 0])
+        nothing = xp.full_like(nodes[..., 0, 0], math.nan)
         newest = nodes[..., self._first :]
         return xp.stack(
             [nothing if place is None else newest[..., place[0], place[1]] * place[2] for place in self._places],

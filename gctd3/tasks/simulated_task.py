@@ -7,7 +7,7 @@ for one robot, ``[N]`` for a batch) and returns new ones; nothing here steps a s
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -159,7 +159,7 @@ class SimulatedTask:
         )
         clocks = [feature for feature in features.values() if isinstance(feature, GaitClock)]
         self.gait = clocks[0].pattern(robot) if clocks else None
-        self.posture: Posture | None = Posture(self.table, self.history, robot.leg_length)
+        self.posture = Posture(self.table, self.history, robot.leg_length)
         self._base = robot.base
         standing = self._base.read(robot.standing_qpos, np.zeros(robot.model.nv))
         self._standing = {name: value for name, (value, _) in standing.items()}
@@ -294,6 +294,16 @@ class SimulatedTask:
             if memory is not None and noise in memory:
                 nodes = nodes + memory[noise]
         return nodes
+
+    @property
+    def shown_command(self) -> Callable[[Array], Array] | None:
+        """Return a function that reads a commanded velocity from observations; ``None`` for a task without one."""
+        return None
+
+    @property
+    def shown_velocity(self) -> Callable[[Array], Array] | None:
+        """Return a function that reads how a robot moves from counters; ``None`` for a task without commands."""
+        return None
 
     def phase(self, nodes: Array) -> Array:
         """Return the phase that a task with a clock shows in observations, in periods from an episode's start.

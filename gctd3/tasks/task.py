@@ -16,7 +16,6 @@ from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
-from gctd3.tasks.posture import Posture
 from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.reward import Reward
 
@@ -39,7 +38,6 @@ class Task(Protocol):
         abilities: Operations that the task and its policies support.
         endless: Whether an episode may go on forever, so that it cannot be evaluated.
         gait: Gait for which the policy observes a clock, or ``None``.
-        posture: What shows the body's posture in observations, or ``None``.
     """
 
     name: str
@@ -53,7 +51,6 @@ class Task(Protocol):
     abilities: frozenset[Ability]
     endless: bool
     gait: GaitPattern | None
-    posture: Posture | None
 
     def reflection(self) -> Reflection:
         """Return the reflection of the task's observations and actions.

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
+from array_api_compat import array_namespace
 
 from gctd3.errors import ConfigError
 from gctd3.robots.settings import RobotSettings
+from gctd3.tasks.feature_table import FeatureTable
 from gctd3.tasks.motor_terms import ActionRate, Effort, EndStops
 from gctd3.tasks.randomisations import JointNoise
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.reward_terms import Ended, Living, Tilt
 from gctd3.tasks.simulated_task import Composition, SimulatedTask
 from gctd3.tasks.terminations import Fall, Survive
-from gctd3.tasks.terms import Command, Randomisation, RewardTerm, Termination
-from gctd3.tasks.velocity_command import NAME, VelocityCommand
-from gctd3.tasks.velocity_features import COMMANDS, privileged_features, velocity_features
+from gctd3.tasks.terms import Array, Command, Randomisation, RewardTerm, Termination
+from gctd3.tasks.velocity_command import AXES, NAME, NEEDED, VelocityCommand
+from gctd3.tasks.velocity_features import AVERAGED, COMMANDS, privileged_features, velocity_features
 from gctd3.tasks.velocity_terms import StandStill, TrackVelocity, TrackYawRate
 
 EPISODE = 1000  # control steps
@@ -87,13 +90,59 @@ class VelocityTask(SimulatedTask):
     name = "velocity"
     abilities = SimulatedTask.abilities | {"commands"}
 
+    @property
+    def shown_command(self) -> Callable[[Array], Array] | None:
+        """Return a function that reads the command from observations, ``None`` if they do not show all of it.
+
+        It takes observations of the nodes, ``[*, N, F * H]``, of NumPy or PyTorch, and returns the velocity forward and
+        to the left and the yaw rate, ``[*, 3]`` (m/s, m/s, rad/s); 0 for what the base cannot do.
+        """
+        known, asked = set(_names(self.table)), self._of_base(COMMANDS)
+        return partial(self._command, asked) if known.issuperset(filter(None, asked)) else None
+
+    @property
+    def shown_velocity(self) -> Callable[[Array], Array] | None:
+        """Return a function that reads the averaged velocity from what critics observe, ``None`` if it is not there.
+
+        It takes counters, ``[*, K]``, and returns the velocity forward and to the left and the yaw rate, ``[*, 3]``
+        (m/s, m/s, rad/s); 0 for what the base cannot do.
+        """
+        asked = self._of_base(AVERAGED)
+        known = [] if self.privileged is None else _names(self.privileged)
+        return partial(self._velocity, known, asked) if set(known).issuperset(filter(None, asked)) else None
+
+    def _of_base(self, names: Sequence[str]) -> list[str | None]:
+        """Return the name of each axis, ``None`` for one along which the base cannot move."""
+        return [
+            name if NEEDED.get(axis) in (None, *self.facts.base) else None
+            for axis, name in zip(AXES, names, strict=True)
+        ]
+
+    def _command(self, asked: Sequence[str | None], nodes: Array) -> Array:
+        xp, newest = array_namespace(nodes), nodes[..., (self.history - 1) * self.features :]
+        nothing = xp.zeros_like(newest[..., 0, 0])
+        return xp.stack(
+            [nothing if name is None else newest[(..., *self.table.place(name))] for name in asked], axis=-1
+        )
+
+    @staticmethod
+    def _velocity(known: Sequence[str], asked: Sequence[str | None], counters: Array) -> Array:
+        xp, numbers = array_namespace(counters), counters[..., counters.shape[-1] - len(known) :]
+        nothing = xp.zeros_like(counters[..., 0])
+        return xp.stack([nothing if name is None else numbers[..., known.index(name)] for name in asked], axis=-1)
+
     def command_ranges(self) -> dict[str, tuple[float, float]]:
         """Return the range of each number of the command by the name of its reading (m/s, m/s, rad/s).
 
         It holds 0 if some commands are to stand.
         """
-        command, known = self.commands[NAME], {r.name for row in self.table.readings for r in row if r is not None}
+        command, known = self.commands[NAME], set(_names(self.table))
         box = command.box
         if command.standing:
             box = np.stack([np.minimum(box[:, 0], 0.0), np.maximum(box[:, 1], 0.0)], axis=-1)
         return {name: (low, high) for name, (low, high) in zip(COMMANDS, box.tolist(), strict=True) if name in known}
+
+
+def _names(table: FeatureTable) -> list[str]:
+    """Return the names of the numbers that a table holds, in their order."""
+    return [reading.name for row in table.readings for reading in row if reading is not None]

@@ -80,7 +80,7 @@ class _Widen:
 class VelocityCommand(Command):
     """Draw the velocity that the robot is to have: forward and to the left of its heading (m/s), and turning (rad/s).
 
-    A robot of a training begins with commands to walk straight ahead, within :attr:`begin`. After each command that it
+    With :attr:`begin` a robot of a training begins with commands to walk straight ahead. After each command that it
     followed on average its box is wider by a share :attr:`widen`, up to the whole one, and after one that it did not
     follow narrower by half of that. Evaluations draw from the whole box.
 
@@ -89,6 +89,8 @@ class VelocityCommand(Command):
         side: Lowest and highest velocity to the left; negative is to the right (m/s).
         turn: Lowest and highest yaw rate; to the left is positive (rad/s).
         standing: Share of commands to stand still.
+        extreme: Share of commands of which each number is its lowest, 0 or its highest one: straight ahead, a turn on
+            the spot, or all at once, which few of the commands in between are like.
         begin: Lowest and highest velocity forward of the first commands (m/s); ``None`` for the whole box from the
             beginning.
         widen: Share of the box that is added after a command that was followed.
@@ -100,7 +102,8 @@ class VelocityCommand(Command):
     side: Sequence[float] = (-0.4, 0.4)
     turn: Sequence[float] = (-0.8, 0.8)
     standing: float = 0.1
-    begin: Sequence[float] | None = (0.4, 1.0)
+    extreme: float = 0.3
+    begin: Sequence[float] | None = None
     widen: float = 0.2
     error: float = 0.25
     turn_error: float = 0.3
@@ -109,7 +112,7 @@ class VelocityCommand(Command):
         super().__post_init__()
         for name in AXES:
             _check_range(name, getattr(self, name))
-        check_between(self, 0, 1, "standing", "widen")
+        check_between(self, 0, 1, "standing", "extreme", "widen")
         for name in ("error", "turn_error"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} must be above 0, got {getattr(self, name)}.")
@@ -165,6 +168,10 @@ class VelocityCommand(Command):
 
     def _drawn(self, rng: np.random.Generator | np.random.RandomState, box: np.ndarray) -> np.ndarray:
         drawn = rng.uniform(box[..., 0], box[..., 1])
+        ends = np.stack([box[..., 0], np.clip(0.0, box[..., 0], box[..., 1]), box[..., 1]])
+        which = (3 * rng.uniform(size=(1, *drawn.shape))).astype(np.int64)
+        at_ends = np.take_along_axis(ends, which, axis=0)[0]
+        drawn = np.where(rng.uniform(size=(len(box), 1)) < self.extreme, at_ends, drawn)
         stands = rng.uniform(size=len(box)) < self.standing
         return np.where(stands[:, None], 0.0, drawn)
 

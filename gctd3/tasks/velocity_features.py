@@ -21,6 +21,10 @@ from gctd3.tasks.velocity_command import SWAY, VELOCITY, averaged, velocities
 
 # Names of the command's readings: forward, to the left, turning.
 COMMANDS = ("command_forward_m_s", "command_side_m_s", "command_turn_rad_s")
+# The same of the velocities that are averaged over the time constant of the reward.
+AVERAGED = tuple(
+    f"heading_{axis}_over_{SWAY:g}_s_{unit}" for axis, unit in (("forward", "m_s"), ("side", "m_s"), ("turn", "rad_s"))
+)
 Rows = list[list[Reading | None]]
 
 

@@ -12,19 +12,20 @@ from gctd3.tasks.velocity_command import SWAY, VELOCITY, averaged
 @dataclass(frozen=True)
 class _Track(RewardTerm):
     scale: float | None = None
+    within: float = 1.0
     time: float = SWAY
 
     def __post_init__(self) -> None:
         if self.scale is not None and not self.scale > 0:
             raise ConfigError(f"scale must be above 0, or null, got {self.scale}.")
-        check_between(self, 0, 100, "time")
+        check_between(self, 0, 100, "within", "time")
 
     def remembers(self) -> tuple[Remembered, ...]:
         """Return the array of the averaged velocities."""
         return (averaged(self.time),)
 
-    def _pay(self, step: Step, error: Array, asked: Array) -> Array:
-        return self.weight * (asked - error if self.scale is None else step.xp.exp(-((error / self.scale) ** 2)))
+    def _pay(self, step: Step, error: Array) -> Array:
+        return self.weight * (self.within - error if self.scale is None else step.xp.exp(-((error / self.scale) ** 2)))
 
     def _off(self, step: Step) -> Array:
         # The command is the one that the policy saw when it chose the action.
@@ -35,22 +36,23 @@ class _Track(RewardTerm):
 class TrackVelocity(_Track):
     """Reward the velocity in the plane, averaged over steps, being the commanded one.
 
-    Without a scale the pay is linear, ``weight (|c| - |v - c|)``: 0 for a robot that stands, ``|c|`` at the commanded
-    velocity, and as much less above it. With a scale it is ``weight exp(-|v - c|^2 / scale^2)`` (Rudin et al. 2022,
-    arXiv:2109.11978), from which a robot that stands learns little.
+    Without a scale the pay is linear, ``weight (within - |v - c|)``: as much under each command that is followed, so
+    that the value of a state hardly depends on the command, and more for each bit of speed of a robot that stands. With
+    a scale it is ``weight exp(-|v - c|^2 / scale^2)`` (Rudin et al. 2022, arXiv:2109.11978), from which a robot that
+    stands learns little.
 
     Attributes:
         weight: Reward per m/s (s/m), or the largest reward of a step.
         scale: Error at which the pay has fallen to ``1 / e`` (m/s); ``None`` for a linear pay.
+        within: Error at which a linear pay is 0 (m/s).
         time: Time constant of the average, over which the body's sway is not counted (s); 0 for none.
     """
 
     def __call__(self, step: Step) -> Array:
         """Return the pay, shape ``[*]``."""
         xp = step.xp
-        parts = self._off(step)[..., :2], step.before[VELOCITY][..., :2]
-        error, asked = (xp.sqrt(xp.sum(part * part, axis=-1)) for part in parts)
-        return self._pay(step, error, asked)
+        off = self._off(step)[..., :2]
+        return self._pay(step, xp.sqrt(xp.sum(off * off, axis=-1)))
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,7 @@ class TrackYawRate(_Track):
     Attributes:
         weight: Reward per rad/s (s/rad), or the largest reward of a step.
         scale: Error at which the pay has fallen to ``1 / e`` (rad/s); ``None`` for a linear pay.
+        within: Error at which a linear pay is 0 (rad/s).
         time: Time constant of the average (s); 0 for none.
     """
 
@@ -71,8 +74,7 @@ class TrackYawRate(_Track):
 
     def __call__(self, step: Step) -> Array:
         """Return the pay, shape ``[*]``."""
-        xp = step.xp
-        return self._pay(step, xp.abs(self._off(step)[..., 2]), xp.abs(step.before[VELOCITY][..., 2]))
+        return self._pay(step, step.xp.abs(self._off(step)[..., 2]))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,8 @@ from gctd3.files import quoted
 from gctd3.training.saved_configuration import CONFIG, flat
 
 MINUTE = 60.0
+ERRORS = {"forward": "m/s", "side": "m/s", "turn": "rad/s"}  # units of the errors of a commanded velocity
+FOLLOWED = 0.9  # share of commands from which on a policy counts as one that follows them
 SURE = 1.0  # success rate from which on a policy counts as one that walks
 _OWN = ("resume", "robot.source")  # keys that a run sets itself, or that say only where it is
 _MORE = 24  # lines; what differs in more keys than this was chosen as a whole
@@ -63,13 +65,17 @@ def closing(best: Mapping[str, float] | None, run: Path, config: DictConfig, wal
     if best is None:
         return "\n".join(lines)
     success = best["success_rate"] if walks else SURE
-    if success < SURE:
+    follows = _follows(best)
+    if follows is not None:
+        lines += [] if follows else ["It does not follow all commands yet."]
+    elif success < SURE:
         lines.append("It does not walk yet." if success == 0 else "It does not walk in every episode yet.")
+    able = success >= SURE if follows is None else follows
     lines.append(f"Evaluate it over 50 episodes:  {again(config, 'evaluate', f'run={run}', 'episodes=50')}")
     if walks:
-        seen = "Watch it walk" if success == SURE else "See what it does"
+        seen = ("Watch it walk" if follows is None else "Steer it") if able else "See what it does"
         lines.append(f"{seen}:  {again(config, 'view', f'run={run}')}")
-    if success < SURE and finished:
+    if not able and finished:
         longer = f"total_frames={2 * config.total_frames}"
         lines.append(f"Train it for longer:  {again(config, 'train', f'resume={run}', longer)}")
         lines.append(f"or begin anew with another seed, since seeds differ:  seed={config.seed + 1}")
@@ -80,12 +86,32 @@ def best_text(best: Mapping[str, float] | None, walks: bool) -> str:
     """Describe the best evaluation by its task's figures: a library's has no success rate, its robot may be fixed."""
     if best is None:
         return "It has not been evaluated yet, so it has no best policy."
-    figures = [f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}"]
-    if walks:
-        figures.append(f"success {best['success_rate']:.0%}")
+    said = [f"return {best['return_mean']:.1f} ± {best['return_std']:.1f}"]
     if walks or best["distance_mean"]:
-        figures.append(f"{best['distance_mean']:.1f} m at {best['velocity_mean']:.2f} m/s")
-    return f"Best evaluation, after {best['frames']:,.0f} frames and {duration(best['wall_s'])}: {', '.join(figures)}."
+        said.append(figures(best, walks))
+    return f"Best evaluation, after {best['frames']:,.0f} frames and {duration(best['wall_s'])}: {', '.join(said)}."
+
+
+def figures(metrics: Mapping[str, float], walks: bool = True) -> str:
+    """Describe how a policy did: how far it got, or how well it followed commands.
+
+    Args:
+        metrics: Metrics of an evaluation.
+        walks: Whether its success is that of a walk.
+    """
+    if "error_forward" in metrics:
+        errors = [f"{metrics[f'error_{axis}']:.2f} {unit}" for axis, unit in ERRORS.items()]
+        rates = f"{metrics['followed_rate']:.0%} of the commands followed, falls {metrics['fall_rate']:.0%}"
+        return f"{rates}, errors {errors[0]} forward, {errors[1]} to the side, {errors[2]}"
+    success = [f"success {metrics['success_rate']:.0%}"] if walks else []
+    return ", ".join([*success, f"{metrics['distance_mean']:.1f} m at {metrics['velocity_mean']:.2f} m/s"])
+
+
+def _follows(best: Mapping[str, float]) -> bool | None:
+    """Whether a policy follows nearly all commands without a fall; ``None`` for a task without commands."""
+    if "followed_rate" not in best:
+        return None
+    return best["fall_rate"] == 0 and best["followed_rate"] >= FOLLOWED
 
 
 def duration(seconds: float) -> str:

@@ -33,6 +33,7 @@ COLUMNS = (
     "error_forward",
     "error_side",
     "error_turn",
+    "followed_rate",
     "fall_rate",
 )
 

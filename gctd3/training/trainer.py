@@ -28,6 +28,7 @@ from gctd3.config.fields import in_yaml
 from gctd3.data.build_collector import build_collector
 from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
+from gctd3.data.gait_policy import ByClock, fittest_gait
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.data.replay import Replay
 from gctd3.data.stepping import Stepping
@@ -39,6 +40,7 @@ from gctd3.files import new_directory, quoted, save_tree, write_manifest, write_
 from gctd3.setup.setup import Setup
 from gctd3.signals import StopRequest
 from gctd3.tasks.simulated_task import SimulatedTask
+from gctd3.training.announcements import figures
 from gctd3.training.checkpoint import STATE, Checkpoints, checked, fit
 from gctd3.training.confirmation import confirm, described
 from gctd3.training.device import pick_device
@@ -112,9 +114,7 @@ class Trainer:
         settings, task = self.settings, self.setup.task
         algorithm = settings.algo.build(self.setup.architecture(self.device))
         robots, exploration = settings.env.num_envs, settings.exploration
-        body = (task.robot, robots, exploration, task.control_dt, slice(None), task.gait, task.posture)
-        exploring = Explorer(algorithm.actor, *body)
-        return algorithm, exploring
+        return algorithm, Explorer.of_task(task, algorithm.actor, robots, exploration)
 
     def _new_watch(self) -> Watch:
         settings, frames = self.settings, self.settings.give_up.reward_frames
@@ -233,12 +233,7 @@ class Trainer:
         if not settings.updates or self.settings.init is not None or task.gait is None:
             return
         if isinstance(gait, Stepping) and gait.tried:
-            phase = cast(SimulatedTask, task).phase
-
-            def controller(seen: TensorDictBase) -> Tensor:
-                return gait.fittest_action(phase(seen["nodes"]), seen["nodes"])
-
-            self.algorithm.imitation = Imitation(settings, controller)
+            self.algorithm.imitation = Imitation(settings, ByClock(gait, cast(SimulatedTask, task)).action)
 
     def _begin_again(self, line: ProgressLine) -> None:
         """Begin again with new weights, an empty replay and a warm-up; keep the best policy and, inline, the robots."""
@@ -300,14 +295,11 @@ class Trainer:
         rhythm, task = self.explorer.rhythm, self.setup.task
         if not isinstance(rhythm, Stepping) or "film" not in task.abilities:
             return
-        gait = rhythm.fittest()
+        gait = fittest_gait(rhythm, cast(SimulatedTask, task))
         if gait is None:
             return
         metrics = evaluate(gait, self.evaluation_env, task, self.settings.evaluation.seed).summary()
-        tqdm.write(
-            f"The fittest gait of the warm-up: {metrics['distance_mean']:.1f} m at "
-            f"{metrics['velocity_mean']:.2f} m/s, success {metrics['success_rate']:.0%}."
-        )
+        tqdm.write(f"The fittest gait of the warm-up: {figures(metrics)}.")
         write_text(self.directory / WARMUP_GAIT, json.dumps(metrics, indent=1) + "\n")
 
     def _wall(self) -> float:

@@ -9,7 +9,8 @@ import torch
 from running import command, tiny
 from tensordict import TensorDict
 
-from gctd3.data.stepping import Stepping, foot_height, foot_way
+from gctd3.data.foot_paths import foot_height, foot_way
+from gctd3.data.stepping import Stepping
 from gctd3.envs.simulation import Simulation
 from gctd3.robots.gait_pattern import GaitPattern, alternating_phases
 from gctd3.robots.settings import RobotSettings
@@ -172,7 +173,6 @@ def test_it_goes_on_from_its_state(quadruped):
         torch.testing.assert_close(a, b, rtol=0.0, atol=0.0)
 
 
-@pytest.mark.nightly
 def test_gaits_that_evolve_walk(quadruped):
     """On the quadruped the gaits that robots remember after 10,000 control steps cover more ground than at first."""
     ends = {"long_contact": None, "stuck_hip": None, "fall": Fall(height=None)}
@@ -197,13 +197,13 @@ def test_gaits_that_evolve_walk(quadruped):
 def test_the_fittest_gait_can_be_played_without_noise(quadruped):
     """Before a trial there is none; then its actions are those of the gait from the start of an episode."""
     gaits = stepping(quadruped, trial=0.04)
-    assert gaits.fittest() is None
+    assert gaits.fittest(3) is None
     nothing = torch.zeros(4, dtype=torch.bool)
     gaits(torch.ones(4, dtype=torch.bool), torch.zeros(4))
     for step in range(1, 3):
         gaits(nothing, 0.01 * step * torch.tensor([0.0, 1.0, 3.0, 2.0]))
     assert int(gaits.fitness.argmax()) == 2
-    played = gaits.fittest()
+    played = gaits.fittest(5)
     genes = {name: getattr(gaits, f"best_{name}")[2:3] for name in gaits.GENES}
     cycle = 0.02 * gaits._pendulum * float(genes["frequency"])
     for step in range(1, 5):
@@ -212,7 +212,6 @@ def test_the_fittest_gait_can_be_played_without_noise(quadruped):
         torch.testing.assert_close(action, expected.expand(7, -1), rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.nightly
 def test_a_training_says_how_far_that_gait_gets(tmp_path, capsys):
     run = tmp_path / "run"
     asked = ["robot=quadruped", "exploration.warmup=stepping", "exploration.gait_time=0.2", "robot.action_scale=0.3"]
@@ -300,7 +299,7 @@ def test_the_fittest_action_is_that_of_its_time(quadruped):
     for step in range(1, 4):
         gaits(torch.zeros(8, dtype=torch.bool), 0.01 * step * torch.rand(8))
     assert gaits.tried
-    played = gaits.fittest()
+    played = gaits.fittest(30)
     listed = torch.stack([played(TensorDict({}, [1]))["action"][0] for _ in range(30)])
     phases = (torch.arange(30) * 0.02 * 2.0) % 1.0
     torch.testing.assert_close(gaits.fittest_action(phases), listed, rtol=1e-4, atol=1e-4)

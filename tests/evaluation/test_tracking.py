@@ -12,7 +12,7 @@ from gctd3.errors import ConfigError
 from gctd3.evaluation.command_grid import examine, table
 from gctd3.evaluation.episode import Episode
 from gctd3.evaluation.settings import CommandGrid
-from gctd3.evaluation.tracking import errors, settled, tracking_errors
+from gctd3.evaluation.tracking import errors, followed, is_near, settled, tracking_errors
 from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.terminations import Fall, Survive
 from gctd3.tasks.velocity import VelocitySettings
@@ -42,9 +42,37 @@ def test_errors_by_hand():
     exact, soon = episode(asked, asked, fell=True), episode(asked[:3], asked[:3], fell=True)
     assert errors(soon, DT) is None
     found = tracking_errors([episode(asked, moved), exact, soon], DT)
-    expected = {"error_forward": 0.1, "error_side": 0.1, "error_turn": 0.1, "fall_rate": 2 / 3}
+    # Followed: on average 0.1 m/s and 0.2 rad/s off; not followed: the two that fell.
+    expected = {"error_forward": 0.1, "error_side": 0.1, "error_turn": 0.1, "followed_rate": 1 / 3, "fall_rate": 2 / 3}
     assert found == pytest.approx(expected)
     assert np.isnan(tracking_errors([soon], DT)["error_forward"])
+
+
+@pytest.mark.parametrize(
+    ("off", "near"),
+    [
+        # 3-4-5 triangles of 0.15 m/s, and a little more.
+        ((0.09, 0.12, 0.0), True),
+        ((0.091, 0.121, 0.0), False),
+        ((0.0, 0.0, -0.2), True),
+        ((0.0, 0.0, 0.21), False),
+    ],
+)
+def test_how_near_a_command_is_followed(off, near):
+    assert is_near(np.array(off) * (1 - 1e-9)) is near
+
+
+def test_each_command_of_an_episode_is_followed_or_not():
+    """The mean after a second counts, whatever the sway; a command that was too short does not, and a fall is none."""
+    asked = [[0.5, 0.0, 0.0]] * 8 + [[0.0, 0.0, 0.5]] * 8 + [[0.2, 0.0, 0.0]] * 3 + [[0.0, 0.3, 0.0]] * 8
+    moved = np.array(asked)
+    moved[:4] = 9.0
+    moved[4:8, 0] += [1.0, -1.0, 1.0, -1.0]
+    moved[8:16, 2] -= 0.3
+    assert followed(episode(asked, moved), DT) == [True, False, True]
+    assert followed(episode(asked, moved, fell=True), DT) == [True, False, False]
+    # It fell before the last command had held for long.
+    assert followed(episode(asked[:18], moved[:18], fell=True), DT) == [True, False, False]
 
 
 def test_the_grid_by_hand():
@@ -85,6 +113,8 @@ def test_robots_that_stand_miss_each_command_by_as_much():
         for axis, asked in one["command"].items():
             assert one["mean"][axis] == pytest.approx(0.0, abs=0.02)
             assert one["mean_abs_error"][axis] == pytest.approx(abs(asked), abs=0.03)
+    assert [one["followed"] for one in results["commands"]] == [True, False, False]
+    assert "1 of 3 commands are followed." in table(results)
     whole = results["whole"]
     assert whole["mean_abs_error"]["forward_m_s"] == pytest.approx(0.4, abs=0.03) and whole["fall_rate"] == 0.0
     assert "0.60    0.30   -0.50" in table(results)
@@ -99,8 +129,8 @@ def test_robots_that_fall_at_once_have_no_error():
     results = examine(standing(task), task, EnvSettings(num_envs=1, threads=1), 0, grid)
     for one in results["commands"]:
         assert one["falls"] == one["episodes"] == 1 and one["mean"] is None and one["mean_abs_error"] is None
-    assert results["whole"] == {"commands": 2, "mean_abs_error": None, "fall_rate": 1.0}
-    assert table(results).splitlines()[-1].endswith("100%")
+    assert results["whole"] == {"commands": 2, "followed": 0, "mean_abs_error": None, "fall_rate": 1.0}
+    assert table(results).splitlines()[-2].endswith("100%")
 
 
 def test_the_command_writes_every_number(finished, tmp_path, capsys):

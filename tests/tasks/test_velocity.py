@@ -30,6 +30,7 @@ from gctd3.tasks.velocity_command import (
     averaged,
     velocities,
 )
+from gctd3.tasks.velocity_features import velocity_features
 from gctd3.tasks.velocity_terms import StandStill, TrackVelocity, TrackYawRate
 
 STILL = {"joint_noise": JointNoise(0.0, 0.0)}
@@ -126,8 +127,28 @@ def test_what_is_observed(quadruped):
     # Height, forward and side at the nodes root, yaw, side, with the averages, which begin as what is measured.
     expected = [seen.height[0], seen.velocity[0], seen.velocity[0], 0.0, 0.0, 0.0]
     np.testing.assert_allclose(counters, expected, atol=1e-6)
+    # What gaits read of it, from the newest of the stacked frames.
+    stacked = np.concatenate([np.zeros_like(nodes), nodes], axis=-1)
+    older = task_of(history=2)
+    np.testing.assert_allclose(older.shown_command(torch.from_numpy(stacked)), [0.7, -0.2, 0.4])
+    moving = {**memory, averaged(SWAY).name: np.array([[0.6, -0.1, 0.3]])}
+    averages = quadruped.shown_velocity(torch.from_numpy(quadruped.counters(moving, simulation.now)))
+    np.testing.assert_allclose(averages, [[0.6, -0.1, 0.3]], atol=1e-6)
     with pytest.raises(ValueError, match="counters needs the measurement"):
         quadruped.counters(memory)
+
+
+def test_gaits_read_a_command_where_it_is_observed():
+    """A robot on a boom is commanded forward only; without the feature, or for critics' eyes only, there is none."""
+    boom = task_of("biped")
+    simulation = everyone(Simulation(boom, 2, threads=1))
+    memory = {**simulation.memory, VELOCITY: np.array([[0.7, 0.0, 0.0], [-0.2, 0.0, 0.0]])}
+    stacked = np.tile(boom.node_features(simulation.now, memory), boom.history)
+    np.testing.assert_allclose(boom.shown_command(stacked), [[0.7, 0.0, 0.0], [-0.2, 0.0, 0.0]])
+    assert boom.shown_velocity(boom.counters(memory, simulation.now)).shape == (2, 3)
+    hidden = task_of(features={**velocity_features(), "command_base": None})
+    assert hidden.shown_command is None and hidden.shown_velocity is not None
+    assert task_of(privileged={}).shown_velocity is None
 
 
 def test_a_robot_on_a_boom_is_asked_for_what_it_can_do():
@@ -155,26 +176,26 @@ def step_of(facts, command, velocity=0.0, side=0.0, turn=0.0, joints=None):
 @pytest.mark.parametrize(
     ("command", "moved", "linear"),
     [
-        # |c| - |v - c|; 3-4-5 triangles.
-        ((0.6, 0.0, 0.0), (0.6, 0.0), 0.6),
-        ((0.6, 0.0, 0.0), (0.0, 0.0), 0.0),
-        ((0.6, 0.0, 0.0), (1.2, 0.0), 0.0),
-        ((0.6, 0.0, 0.0), (-0.6, 0.0), -0.6),
-        ((0.3, 0.4, 0.0), (0.3, 0.4), 0.5),
-        ((0.3, 0.4, 0.0), (0.0, 0.0), 0.0),
-        ((0.0, 0.0, 0.0), (0.3, -0.4), -0.5),
+        # 0.8 - |v - c|; 3-4-5 triangles.
+        ((0.6, 0.0, 0.0), (0.6, 0.0), 0.8),
+        ((0.6, 0.0, 0.0), (0.0, 0.0), 0.2),
+        ((0.6, 0.0, 0.0), (1.2, 0.0), 0.2),
+        ((0.6, 0.0, 0.0), (-0.6, 0.0), -0.4),
+        ((0.3, 0.4, 0.0), (0.3, 0.4), 0.8),
+        ((0.3, 0.4, 0.0), (0.0, 0.0), 0.3),
+        ((0.0, 0.0, 0.0), (0.3, -0.4), 0.3),
     ],
 )
 def test_pay_of_velocity(quadruped, command, moved, linear):
     step = step_of(quadruped.facts, command, *moved)
-    assert TrackVelocity(weight=2.0)(step) == pytest.approx(2.0 * linear)
+    assert TrackVelocity(weight=2.0, within=0.8)(step) == pytest.approx(2.0 * linear)
     error = np.hypot(moved[0] - command[0], moved[1] - command[1])
     assert TrackVelocity(weight=2.0, scale=0.5)(step) == pytest.approx(2.0 * np.exp(-4.0 * error**2))
 
 
 def test_pay_of_yaw_rate_and_of_standing(quadruped):
     facts = quadruped.facts
-    assert TrackYawRate(weight=1.0)(step_of(facts, (0.0, 0.0, -0.5), turn=-0.2)) == pytest.approx(0.2)
+    assert TrackYawRate(weight=2.0, within=0.9)(step_of(facts, (0.0, 0.0, -0.5), turn=-0.2)) == pytest.approx(1.2)
     assert TrackYawRate(weight=1.0, scale=0.3)(step_of(facts, (0.0, 0.0, 0.5), turn=0.2)) == pytest.approx(np.exp(-1))
     speeds = np.zeros(facts.joints)
     speeds[0] = -2.0
@@ -209,6 +230,21 @@ def test_commands_lie_in_the_box_and_some_stand():
     np.testing.assert_allclose([moving.min(axis=0), moving.max(axis=0)], command.box.T, atol=0.02)
 
 
+def test_some_commands_are_at_the_ends_of_the_box():
+    """Each number is the lowest, 0 or the highest equally often, or drawn from between."""
+    command = VelocityCommand(forward=(-0.5, 1.0), side=(-0.4, 0.4), turn=(0.2, 0.8), standing=0.0, extreme=0.3)
+    drawn = command(np.random.default_rng(0), 6000)
+    # No turn is as slow as 0.
+    ends = np.array([[-0.5, 0.0, 1.0], [-0.4, 0.0, 0.4], [0.2, 0.2, 0.8]])
+    at = (drawn[:, :, None] == ends).any(axis=-1)
+    assert (at.all(axis=-1) == at.any(axis=-1)).all()
+    assert at.all(axis=-1).mean() == pytest.approx(0.3, abs=0.02)
+    for axis, values in enumerate(ends):
+        for value in set(values):
+            share = (values == value).mean()
+            assert (drawn[:, axis] == value).mean() == pytest.approx(0.3 * share, abs=0.02)
+
+
 def test_the_box_widens_from_straight_ahead_to_the_whole():
     command = VelocityCommand(forward=(-1.0, 1.0), side=(-0.4, 0.4), turn=(-0.8, 0.8), begin=(0.5, 1.0), standing=0.0)
     rng = np.random.default_rng(0)
@@ -240,7 +276,7 @@ def curriculum(command, velocities):
 
 
 def test_a_robot_that_follows_gets_a_wider_box():
-    command = VelocityCommand(every=0.1, widen=0.2, error=0.25, turn_error=0.3)
+    command = VelocityCommand(every=0.1, begin=(0.4, 1.0), widen=0.2, error=0.25, turn_error=0.3)
     moved = np.array(
         [
             [0.6, 0.0, 0.3],  # exactly
@@ -254,13 +290,14 @@ def test_a_robot_that_follows_gets_a_wider_box():
 
 
 def test_the_width_of_the_box_outlasts_an_episode(quadruped):
-    simulation = everyone(Simulation(quadruped, 3, threads=1))
+    task = quadruped.with_commands({"velocity": VelocityCommand(begin=(0.4, 1.0))})
+    simulation = everyone(Simulation(task, 3, threads=1))
     assert simulation.memory[WIDTH].tolist() == [0.0, 0.0, 0.0]
     simulation.memory = {**simulation.memory, WIDTH: np.array([0.2, 0.4, 1.0])}
     simulation.reset(np.array([True, False, True]))
     assert simulation.memory[WIDTH].tolist() == [0.2, 0.4, 1.0]
     assert simulation.memory["step"].tolist() == [0, 0, 0]
-    evaluated = quadruped.evaluated(quadruped.reward)
+    evaluated = task.evaluated(task.reward)
     assert WIDTH not in everyone(Simulation(evaluated, 1, threads=1)).memory
 
 

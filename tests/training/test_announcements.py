@@ -71,6 +71,22 @@ def test_the_end_says_whether_it_walks_and_what_to_do(config, success, ended, ex
     assert "after 60,000 frames and 1.4 minutes" in said and "'run=runs/my run'" in said
 
 
+@pytest.mark.parametrize(
+    ("followed", "falls", "expected", "absent"),
+    [
+        (0.95, 0.0, ["Steer it", "95% of the commands followed"], ["not follow", "longer", "Watch it walk"]),
+        # A robot that stands never falls.
+        (0.1, 0.0, ["does not follow all commands yet", "See what it does", "longer"], ["Watch it walk", "Steer it"]),
+        (0.95, 0.1, ["does not follow all commands yet", "See what it does", "longer"], ["Watch it walk", "Steer it"]),
+    ],
+)
+def test_a_robot_with_commands_is_judged_by_them(config, followed, falls, expected, absent):
+    errors = {f"error_{axis}": 0.1 for axis in ("forward", "side", "turn")}
+    best = {**BEST, **errors, "followed_rate": followed, "fall_rate": falls}
+    said = closing(best, RUN, config(), True, True)
+    assert all(text in said for text in expected) and not any(text in said for text in absent)
+
+
 def test_a_librarys_task_has_no_walk(config):
     said = closing({**BEST, "distance_mean": 0.0}, RUN, config(), False, True)
     assert "walk" not in said and "success" not in said and "Evaluate it" in said

@@ -1,0 +1,48 @@
+"""The gait that the warm-up found, as a policy: what an actor imitates, and what is evaluated without one."""
+
+from __future__ import annotations
+
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from gctd3.data.stepping import OpenLoop, Stepping
+from gctd3.tasks.simulated_task import SimulatedTask
+
+
+class ByClock(TensorDictModuleBase):
+    """Act as the fittest gait does at the phase of the observed clock, by the command and the posture that it shows.
+
+    Args:
+        gait: Gaits of the warm-up, of which one was tried.
+        task: Task whose observations show a clock.
+    """
+
+    def __init__(self, gait: Stepping, task: SimulatedTask) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = ["nodes"], ["action"]
+        # Not registered: the gaits belong to the explorer.
+        self._of = (gait, task)
+
+    def action(self, seen: TensorDictBase) -> Tensor:
+        """Return the actions ``[*, A]`` after observations ``[*]``, on the CPU."""
+        gait, task = self._of
+        nodes, command = seen["nodes"].to("cpu"), task.shown_command
+        posture = task.posture(nodes) if gait.balances else None
+        return gait.fittest_action(task.phase(nodes), None if command is None else command(nodes), posture)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the next action of every robot."""
+        return tensordict.set("action", self.action(tensordict))
+
+
+def fittest_gait(gait: Stepping, task: SimulatedTask) -> OpenLoop | ByClock | None:
+    """Return the fittest gait as a policy for evaluations, ``None`` if none was tried, or none can be replayed.
+
+    Args:
+        gait: Gaits of the warm-up.
+        task: Their task. Gaits that follow a command or have reflexes are replayed by its clock.
+    """
+    if task.shown_command is None and not gait.balances:
+        return gait.fittest(task.time_limit)
+    return ByClock(gait, task) if gait.tried and task.gait is not None else None

@@ -1,0 +1,45 @@
+"""Commands are corrected until a robot that moves otherwise than asked moves as commanded."""
+
+import torch
+
+from gctd3.data.command_correction import CommandCorrection
+
+
+def drifting(asked):
+    """Move as a robot that slides, and that turns when it goes forward and to the side at once."""
+    forward, side, turn = asked.unbind(-1)
+    return torch.stack([0.8 * forward - 0.1 * side.square(), 1.2 * side, turn + 0.9 * forward * side], dim=-1)
+
+
+def test_what_is_left_of_the_error_becomes_small():
+    generator = torch.Generator().manual_seed(0)
+    correction, left = CommandCorrection(), []
+    for _ in range(4):
+        command = torch.rand(500, 3, generator=generator) * 1.6 - 0.8
+        moved = drifting(correction(command))
+        left.append(float((moved - command).abs().mean()))
+        correction.observe(command, moved + 0.02 * torch.randn(500, 3, generator=generator))
+        correction.end_round()
+    assert left[0] > 0.1 and left[-1] < 0.2 * left[0]
+
+
+def test_a_command_to_stand_is_left_alone():
+    correction = CommandCorrection()
+    correction.observe(torch.rand(20, 3), torch.rand(20, 3))
+    correction.end_round()
+    assert correction.correction.abs().max() > 0
+    assert not correction(torch.zeros(2, 3)).any()
+
+
+def test_what_no_command_had_is_not_corrected():
+    """A base that can only go forward is never asked for anything else."""
+    correction = CommandCorrection()
+    correction.end_round()
+    assert not correction.correction.any()
+    forward = torch.tensor([[0.5, 0.0, 0.0], [-0.3, 0.0, 0.0], [0.8, 0.0, 0.0], [0.1, 0.0, 0.0]])
+    correction.observe(forward, 0.5 * forward)
+    correction.end_round()
+    asked = correction(forward)
+    # Half as fast as commanded: half of the command is missing, and asked for in addition.
+    torch.testing.assert_close(asked, 1.5 * forward, atol=0.02, rtol=0.0)
+    assert not asked[:, 1:].any()
