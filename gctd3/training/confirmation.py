@@ -8,6 +8,7 @@ from tensordict.nn import TensorDictModuleBase
 from gctd3.envs.factory import build_env
 from gctd3.evaluation.rollout import evaluate
 from gctd3.tasks.task import Task
+from gctd3.training.announcements import figures
 from gctd3.training.settings import TrainSettings
 
 
@@ -39,7 +40,10 @@ def confirm(policy: TensorDictModuleBase, settings: TrainSettings, task: Task) -
 def described(metrics: dict[str, float], episodes: int, sure: bool) -> str:
     """Describe a confirmation: from how many starts, whether the conditions are met, and what was seen."""
     verdict = "meets the conditions too" if sure else "misses the conditions that it met"
-    shown = [f"return {metrics['return_mean']:.0f}", f"success {metrics['success_rate']:.0%}"]
-    shown += [f"{metrics['velocity_mean']:.2f} m/s"]
+    shown = [f"return {metrics['return_mean']:.0f}"]
+    if "followed_rate" in metrics:
+        shown += [figures(metrics)]
+    else:
+        shown += [f"success {metrics['success_rate']:.0%}", f"{metrics['velocity_mean']:.2f} m/s"]
     shown += [f"{metrics['stride_hz']:.2f} Hz"] if "stride_hz" in metrics else []
     return f"From {episodes} other starts this policy {verdict}: {', '.join(shown)}."

@@ -23,6 +23,14 @@ def test_confirm_is_a_number_of_episodes():
     assert not StopWhen(evaluations=None, confirm=5).ends_after(100)
 
 
+def test_a_policy_with_commands_is_described_by_them():
+    errors = {f"error_{axis}": 0.1 for axis in ("forward", "side", "turn")}
+    metrics = {"return_mean": 1200.0, **errors, "followed_rate": 0.96, "fall_rate": 0.02}
+    said = confirmation.described(metrics, 50, False)
+    assert "From 50 other starts this policy misses the conditions that it met: return 1200, 96% of the" in said
+    assert "falls 2%" in said and "success" not in said
+
+
 def test_a_confirmed_policy_ends_the_training_at_once(tmp_path, capsys, monkeypatch):
     seen = []
     evaluate = rollout.evaluate
