@@ -34,6 +34,8 @@ COLUMNS = (
     "error_side",
     "error_turn",
     "fall_rate",
+    # Whether the policy met the conditions from other starts too, where that was tried: 1 or 0.
+    "confirmed",
 )
 
 
