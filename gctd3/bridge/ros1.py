@@ -83,8 +83,8 @@ def find_master(address: str) -> str:
             here = str(connection.getpeername()[0])
     except OSError as error:
         raise MiddlewareError(
-            f"There is no ROS master at {uri} ({one_line(error)}): start roscore, or set {MASTER_URI}; node=both "
-            "starts its own."
+            f"There is no ROS master at {uri} ({one_line(error)}): start roscore or rosmaster --core, or set "
+            f"{MASTER_URI}; node=both starts its own."
         ) from error
     import rosgraph
 
