@@ -14,8 +14,10 @@ import sys
 from pathlib import Path
 
 from common import options
+from PIL import Image
 
 LOOK = ["rows=1", "columns=4", "width=160", "height=160", "begin=7", "every=5"]  # 0.1 s of 50 Hz
+SKY = 48  # pixels of sky on top, with numbers that are in the table beside the picture
 
 
 def main() -> None:
@@ -35,6 +37,9 @@ def main() -> None:
         run = Path(given["runs"]).absolute() / "train" / robot / f"seed{best['seed']}"
         line = [sys.executable, "-m", "gctd3.render", f"run='{run}'", f"out='{out / robot}.png'", *LOOK]
         subprocess.run(line, check=True)
+        with Image.open(out / f"{robot}.png") as strip:
+            cut = strip.crop((0, SKY, *strip.size))
+        cut.save(out / f"{robot}.png", optimize=True)
         print(f"{robot}: seed {best['seed']}", flush=True)
 
 

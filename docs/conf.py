@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[1]
 
 project = "gctd3"
 author = "The gctd3 authors"
+project_copyright = f"2026, {author}"  # as in LICENSE
 version = release = re.findall(
     r'^__version__ = "(.*)"', (ROOT / "gctd3/__init__.py").read_text(encoding="utf-8"), re.M
 )[0]

@@ -7,7 +7,8 @@ import sys
 from dataclasses import fields, replace
 
 import gctd3
-from gctd3.bridge.middleware import choose
+from gctd3.bridge.names import layout_of
+from gctd3.bridge.network import choose_for
 from gctd3.bridge.policy_node import check_commands
 from gctd3.bridge.settings import RosSettings
 from gctd3.bridge.simulator_node import run_simulator
@@ -26,28 +27,29 @@ def run_both(settings: RosSettings) -> Walk:
         MiddlewareError: If ROS is missing, or a node has fallen silent.
     """
     # Before processes are started.
-    check_commands(Policy(settings.policy))
-    middleware = choose(settings.middleware)
+    policy = Policy(settings.policy)
+    check_commands(policy)
+    middleware = choose_for(settings.middleware, layout_of(policy.contract, settings.names))
     master = None
     if middleware == "ros1":
         from gctd3.bridge.ros1 import start_master
 
         master = start_master(settings.listen)
-    policy = subprocess.Popen(policy_command(replace(settings, middleware=middleware)))
+    follower = subprocess.Popen(policy_command(replace(settings, middleware=middleware)))
     try:
         walk = run_simulator(replace(settings, node="simulator", middleware=middleware))
-        code = policy.wait(LEAVES)
+        code = follower.wait(LEAVES)
     except subprocess.TimeoutExpired as error:
         raise MiddlewareError(f"The policy's node has not ended {LEAVES:g} s after the walk.") from error
     except MiddlewareError as error:
-        left = policy.poll()
+        left = follower.poll()
         if left is None:
             raise
         raise MiddlewareError(f"{error} The policy's node has ended with exit code {left}.") from error
     finally:
-        if policy.poll() is None:
-            policy.kill()
-            policy.wait()
+        if follower.poll() is None:
+            follower.kill()
+            follower.wait()
         if master is not None:
             master.stop()
     if code:

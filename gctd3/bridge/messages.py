@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-# ``joints``: sensor_msgs/JointState, a :class:`JointSample`. ``switch``: std_msgs/Bool, a bool. ``number``:
-# std_msgs/Float64, a float. ``contacts``: gazebo_msgs/ContactsState, a bool. ``clock``: rosgraph_msgs/Clock, whole
-# nanoseconds. ``twist``: geometry_msgs/Twist, a :class:`Velocity`. ``text``: std_msgs/String, a str.
-Kind = Literal["joints", "switch", "number", "contacts", "clock", "twist", "text"]
+# ``joints``: sensor_msgs/JointState, a :class:`JointSample`. ``imu``: sensor_msgs/Imu, an :class:`ImuSample`.
+# ``switch``: std_msgs/Bool, a bool. ``number``: std_msgs/Float64, a float. ``contacts``: gazebo_msgs/ContactsState, a
+# bool. ``clock``: rosgraph_msgs/Clock, whole nanoseconds. ``twist``: geometry_msgs/Twist, a :class:`Velocity`.
+# ``text``: std_msgs/String, a str.
+Kind = Literal["joints", "imu", "switch", "number", "contacts", "clock", "twist", "text"]
 TYPES: dict[Kind, str] = {
     "joints": "sensor_msgs/JointState",
+    "imu": "sensor_msgs/Imu",
     "switch": "std_msgs/Bool",
     "number": "std_msgs/Float64",
     "contacts": "gazebo_msgs/ContactsState",
@@ -19,6 +21,8 @@ TYPES: dict[Kind, str] = {
     "text": "std_msgs/String",
 }
 NANO = 1_000_000_000  # nanoseconds in a second
+Vector = tuple[float, float, float]  # x, y, z
+Quaternion = tuple[float, float, float, float]  # x, y, z, w
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,25 @@ class JointSample:
     names: tuple[str, ...]
     positions: tuple[float, ...]
     velocities: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """Hold what an inertial unit measures at one time, in the axes of :mod:`.inertial`; ``None`` for what it does not.
+
+    Attributes:
+        stamp: Time (ns).
+        frame: ``frame_id`` of the header.
+        orientation: Unit quaternion from the body's axes to the world's.
+        angular_velocity: Angular velocity along the body's axes (rad/s).
+        linear_acceleration: Specific force along the body's axes (m/s^2).
+    """
+
+    stamp: int
+    frame: str
+    orientation: Quaternion | None
+    angular_velocity: Vector | None
+    linear_acceleration: Vector | None = None
 
 
 @dataclass(frozen=True)

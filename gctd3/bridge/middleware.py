@@ -110,6 +110,8 @@ def find_ros1() -> str | None:
     """
     if find_spec("rospy") is not None:
         return None
+    if find_spec("rclpy") is not None:
+        return "this environment has ROS 2, whose messages have the names of ROS 1's: ROS 1 needs another environment"
     if not (DEBIAN / "rospy").is_dir():
         return f"ROS 1 needs rospy: {ROS1_LINE}"
     theirs = DEBIAN_PYTHON.resolve().name.removeprefix("python")

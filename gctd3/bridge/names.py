@@ -7,13 +7,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gctd3.bridge.messages import JointSample, MessageError, Topic
+from gctd3.bridge.inertial import inertial_readings, unpack_inertial
+from gctd3.bridge.messages import ImuSample, JointSample, MessageError, Topic
 from gctd3.bridge.settings import Names
 from gctd3.deploy.contract import Contract
 from gctd3.errors import ConfigError
 
 CLOCK = Topic("/clock", "clock")
 CMD_VEL = Topic("/cmd_vel", "twist")
+IMU = Topic("/imu/data", "imu")
 ENDED = Topic("/walk_ended", "text", latched=True)  # the simulator's last word
 # Commands by the fields of a velocity on /cmd_vel; the names are those of the contract.
 VELOCITY_COMMANDS = {"command_forward_m_s": "forward", "command_side_m_s": "side", "command_turn_rad_s": "turn"}
@@ -47,6 +49,7 @@ class Layout:
         joints: Topic of the joints' states, which a simulator publishes last in each control step.
         rows: Joints in it, in order.
         single: Topic of each reading that has one of its own, by the reading's name.
+        inertial: Readings in the message on ``/imu/data``; without any there is no such topic.
         command: Topic of all desired angles together; ``None`` where each actuator has one.
         actuators: Name of each joint in that message by its actuator, or the actuator's own topic.
         simulator: Name of the simulator's node.
@@ -62,28 +65,34 @@ class Layout:
     simulator: str = "simulator"
     policy: str = "policy"
     services: tuple[str, str, str] = ("/reset", "/pause", "/unpause")
+    inertial: tuple[str, ...] = ()
 
     @property
     def sensors(self) -> tuple[Topic, ...]:
         """Return the topics of the readings, that of the joints last."""
-        return (*self.single.values(), self.joints)
+        return (*self.single.values(), *([IMU] if self.inertial else []), self.joints)
 
     @property
     def commands(self) -> tuple[Topic, ...]:
         """Return the topics of the desired angles."""
         return (self.command,) if self.command else tuple(Topic(name, "number") for name in self.actuators.values())
 
-    def pack_readings(self, stamp: int, frame: str, readings: Mapping[str, float]) -> list[tuple[Topic, Any]]:
+    def pack_readings(
+        self, stamp: int, frame: str, readings: Mapping[str, float], imu: ImuSample | None = None
+    ) -> list[tuple[Topic, Any]]:
         """Return the messages of a control step, in the order of :attr:`sensors`.
 
         Args:
             stamp: Time of the readings (ns).
             frame: ``frame_id`` of the joints' message.
             readings: Value of each reading, and of ``distance_m``.
+            imu: What the inertial unit measures, where there are readings in :attr:`inertial`.
         """
         messages: list[tuple[Topic, Any]] = []
         for name, topic in self.single.items():
             messages.append((topic, float(readings[name]) if topic.kind == "number" else bool(readings[name])))
+        if self.inertial:
+            messages.append((IMU, imu))
 
         def number(name: str | None, sign: float, offset: float) -> float:
             # Exact where there is nothing to convert.
@@ -99,8 +108,11 @@ class Layout:
         """Return the readings in a message, by name.
 
         Raises:
-            MessageError: If the joints' message lacks a joint, or its lists differ in length.
+            MessageError: If the joints' message lacks a joint, or its lists differ in length, or that of the inertial
+                unit lacks what the policy reads.
         """
+        if topic == IMU:
+            return unpack_inertial(topic, message, self.inertial)
         if topic != self.joints:
             return {name: float(message) for name, own in self.single.items() if own == topic}
         places = _places(topic, message, [row.name for row in self.rows])
@@ -199,6 +211,8 @@ def _of_contract(contract: Contract) -> Layout:
             taken |= {angle, velocity}
             has = (angle if angle in readings else None, velocity if velocity in readings else None)
             rows.append(JointRow(node.name, *has))
+    inertial = inertial_readings(contract)
+    taken |= set(inertial)
     binary = {str(feature.reading) for feature in contract.features if feature.binary}
     single = {
         name: Topic(topic_name(name), "switch" if name in binary else "number")
@@ -207,7 +221,8 @@ def _of_contract(contract: Contract) -> Layout:
     }
     joints, command = Topic("/joint_states", "joints"), Topic("/joint_command", "joints")
     _check_different([*(topic.name for topic in single.values()), joints.name, command.name, CLOCK.name, ENDED.name])
-    return Layout(joints, tuple(rows), single, command, {servo.actuator: servo.joint for servo in contract.servos})
+    actuators = {servo.actuator: servo.joint for servo in contract.servos}
+    return Layout(joints, tuple(rows), single, command, actuators, inertial=inertial)
 
 
 def _check_different(names: Iterable[str]) -> None:

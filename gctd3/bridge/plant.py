@@ -7,6 +7,8 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
+from gctd3.bridge.inertial import orientation_of
+from gctd3.bridge.messages import ImuSample
 from gctd3.bridge.names import DISTANCE
 from gctd3.deploy.contract import Contract
 from gctd3.envs.simulation import substeps_of
@@ -14,10 +16,13 @@ from gctd3.errors import ContractError
 from gctd3.robots.actuators import rest_servos
 from gctd3.robots.physics import physics_hash
 from gctd3.tasks.features import Sensed
+from gctd3.tasks.heading import coordinate
 from gctd3.tasks.outcome import Outcome
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.training.saved_configuration import find_run, load_settings
 from gctd3.training.saved_robot import setup_of
+
+BODY = "base_link"  # REP 105's name for the axes of the body
 
 
 class Plant:
@@ -88,6 +93,28 @@ class Plant:
         """Return the value of each reading of the contract by name, and ``distance_m``."""
         values = self.task.table.named(Sensed(self._now, self._memory, self.task.facts))
         return {**{name: float(values[name][0]) for name in self.contract.readings}, DISTANCE: self.distance}
+
+    def imu(self, stamp: int) -> ImuSample:
+        """Return what an inertial unit at the root body's origin measures, in the axes of :mod:`.inertial`.
+
+        Orientation and angular velocity are from the measurement from which :meth:`readings` are, the acceleration is
+        that of the last step of the physics.
+
+        Args:
+            stamp: Time of the readings (ns).
+        """
+        task, turns = self.task, ("roll", "pitch", "yaw")
+        angles, rates = (
+            [float(coordinate(self._now, task.facts, name, rate)[0]) for name in turns] for rate in (False, True)
+        )
+        orientation = orientation_of(*angles)
+        mujoco.mj_rnePostConstraint(self.model, self._data)
+        motion, turn = np.zeros(6), np.zeros(9)
+        mujoco.mj_objectAcceleration(self.model, self._data, mujoco.mjtObj.mjOBJ_XBODY, task.robot.base.root, motion, 0)
+        mujoco.mju_quat2Mat(turn, np.roll(orientation, 1))
+        # MuJoCo counts gravity as an acceleration upwards, as an accelerometer does.
+        x, y, z = (turn.reshape(3, 3).T @ (task.robot.base.frame @ motion[3:])).tolist()
+        return ImuSample(stamp, BODY, orientation, (rates[0], rates[1], rates[2]), (x, y, z))
 
     def command(self, angles: Mapping[str, float]) -> None:
         """Set the desired angles by the name of the actuator (rad), which hold until the next call."""

@@ -10,13 +10,15 @@ from typing import Any
 
 from gctd3.bridge.messages import NANO, MessageError, Topic, Velocity
 from gctd3.bridge.middleware import Middleware
-from gctd3.bridge.names import CLOCK, CMD_VEL, ENDED, VELOCITY_COMMANDS, Layout, layout_of
-from gctd3.bridge.network import join
+from gctd3.bridge.names import CLOCK, CMD_VEL, ENDED, IMU, VELOCITY_COMMANDS, Layout, layout_of
+from gctd3.bridge.network import choose_for, join
 from gctd3.bridge.settings import RosSettings
 from gctd3.deploy.policy import Policy
 from gctd3.errors import MiddlewareError, ReadingError
 
-MISSED = 1.5  # control periods without readings after which one counts as missed, with the time of day
+MISSED = (
+    1.5  # control periods without readings, or one of their topics, until it counts as missed, with the time of day
+)
 GRACE = 0.25  # control periods for which readings wait for others of the same step, with the time of day
 TO_HOME = 10.0  # longest time of the safe command before the node leaves (s)
 
@@ -54,7 +56,8 @@ class PolicyNode:
         self._values: dict[str, float] = {}
         self._fresh: set[Topic] = set()
         self._episode: str | None = None
-        self._stamp, self._arrived = 0, 0.0
+        self._stamp, self._turned = 0, 0
+        self._arrived: dict[Topic, float] = {}
         self._velocity, self._velocity_time = Velocity(0.0, 0.0, 0.0), -math.inf
         self._walking = False
         self._last_reason = ""
@@ -103,12 +106,15 @@ class PolicyNode:
             self._refuse(str(error))
             return False
         self._fresh.add(topic)
+        self._arrived[topic] = time.monotonic()
+        if topic == IMU:
+            self._turned = message.stamp
         if topic == self.layout.joints:
             if self._episode is not None and message.frame != self._episode:
                 # The robot was put back to its start.
                 self.policy.reset(at_home=True)
                 self._walking = False
-            self._episode, self._arrived = message.frame, time.monotonic()
+            self._episode = message.frame
             # A driver that does not stamp its readings has just taken them.
             self._stamp = message.stamp or self.link.now()
         return True
@@ -118,12 +124,15 @@ class PolicyNode:
         if self.layout.joints not in self._fresh or len(self._values) < len(self.policy.contract.readings):
             return False
         whole = len(self._fresh) == len(self.layout.sensors)
-        return whole or (not self._lockstep and now - self._arrived > GRACE * self._period)
+        return whole or (not self._lockstep and now - self._arrived[self.layout.joints] > GRACE * self._period)
 
     def _answer(self) -> bool:
         """Publish the policy's command for the readings, or the safe one, and return whether it was the policy's."""
         policy, when = self.policy, self._stamp / NANO
         self._fresh.clear()
+        if reason := self._outdated():
+            self._refuse(reason)
+            return False
         try:
             if self.settings.home_first and not self._walking:
                 command = policy.start(self._values)
@@ -139,6 +148,18 @@ class PolicyNode:
         self._publish(command, self._stamp)
         self._last_reason = ""
         return True
+
+    def _outdated(self) -> str | None:
+        """Return why the newest readings are not all of the control period of the joints' states."""
+        if self._lockstep:
+            return None
+        most, joints = MISSED * self._period, self.layout.joints
+        for topic in self.layout.sensors:
+            if self._arrived[joints] - self._arrived[topic] > most:
+                return f"{topic.name} is silent."
+        # An inertial unit that does not stamp its message has just measured.
+        age = (self._stamp - self._turned) / NANO if self._turned else 0.0
+        return f"{IMU.name} is stale: it is {age:.3f} s older than {joints.name}." if age > most else None
 
     def _commands(self, when: float) -> dict[str, float]:
         """Return the contract's commands by the newest velocity, 0 for one that is old, within their ranges."""
@@ -207,7 +228,7 @@ def run_policy(settings: RosSettings) -> PolicyCounts:
     policy = Policy(settings.policy)
     check_commands(policy)
     layout = layout_of(policy.contract, settings.names)
-    with join(settings.middleware, layout.policy, settings.listen) as link:
+    with join(choose_for(settings.middleware, layout), layout.policy, settings.listen) as link:
         node = PolicyNode(settings, policy, link, layout)
         node.run()
     node.counts.limited = policy.limited

@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterable
 from typing import Any
 from urllib.parse import urlparse
 
-from gctd3.bridge.messages import NANO, TYPES, JointSample, Kind, Topic, Velocity
+from gctd3.bridge.messages import NANO, TYPES, Kind, Topic
 from gctd3.bridge.middleware import Middleware
+from gctd3.bridge.packing import fill, plain
 from gctd3.errors import MiddlewareError, one_line
 
 MASTER_URI, ADDRESSES = "ROS_MASTER_URI", ("ROS_HOSTNAME", "ROS_IP")
@@ -82,8 +83,8 @@ def find_master(address: str) -> str:
             here = str(connection.getpeername()[0])
     except OSError as error:
         raise MiddlewareError(
-            f"There is no ROS master at {uri} ({one_line(error)}): start roscore, or set {MASTER_URI}; node=both "
-            "starts its own."
+            f"There is no ROS master at {uri} ({one_line(error)}): start roscore or rosmaster --core, or set "
+            f"{MASTER_URI}; node=both starts its own."
         ) from error
     import rosgraph
 
@@ -177,7 +178,7 @@ class Ros1(Middleware):
             )
 
     def _taker(self, topic: Topic) -> Callable[[Any], None]:
-        return lambda message: self._inbox.put((topic, unpack(topic.kind, message)))
+        return lambda message: self._inbox.put((topic, plain(topic.kind, message, _nanoseconds)))
 
     def serve(self, name: str, function: Callable[[], None]) -> None:
         """Offer a service of the type ``std_srvs/Empty``."""
@@ -191,7 +192,8 @@ class Ros1(Middleware):
 
     def publish(self, topic: Topic, message: Any) -> None:  # noqa: ANN401
         """Publish a message on an advertised topic."""
-        self._publishers[topic].publish(self._pack(topic.kind, message))
+        made = self._type(topic.kind)()
+        self._publishers[topic].publish(fill(made, topic.kind, message, self._time, self._state))
 
     def lonely(self, topics: Iterable[Topic]) -> list[str]:
         """Return the names of those topics which have no other node at their other end."""
@@ -226,23 +228,8 @@ class Ros1(Middleware):
                 self._contact = made["gazebo_msgs/ContactState"]
         return self._types[kind]
 
-    def _pack(self, kind: Kind, value: Any) -> Any:  # noqa: ANN401
-        message = self._type(kind)()
-        if kind == "joints":
-            message.header.stamp = self._rospy.Time(*divmod(value.stamp, NANO))
-            message.header.frame_id = value.frame
-            message.name, message.position = list(value.names), list(value.positions)
-            message.velocity = list(value.velocities)
-        elif kind == "contacts":
-            message.header.stamp = self._rospy.Time.from_sec(time.time())
-            message.states = [self._state()] if value else []
-        elif kind == "clock":
-            message.clock = self._rospy.Time(*divmod(value, NANO))
-        elif kind == "twist":
-            message.linear.x, message.linear.y, message.angular.z = value.forward, value.side, value.turn
-        else:
-            message.data = value
-        return message
+    def _time(self, nanoseconds: int) -> Any:  # noqa: ANN401
+        return self._rospy.Time(*divmod(nanoseconds, NANO))
 
     def _state(self) -> Any:  # noqa: ANN401
         if not hasattr(self, "_contact"):
@@ -252,21 +239,5 @@ class Ros1(Middleware):
         return self._contact()
 
 
-def unpack(kind: Kind, message: Any) -> Any:  # noqa: ANN401
-    """Return the plain value of a message of ROS 1, see :data:`.Kind`."""
-    if kind == "joints":
-        stamp = message.header.stamp
-        return JointSample(
-            stamp.secs * NANO + stamp.nsecs,
-            message.header.frame_id,
-            tuple(message.name),
-            tuple(message.position),
-            tuple(message.velocity),
-        )
-    if kind == "contacts":
-        return bool(message.states)
-    if kind == "clock":
-        return message.clock.secs * NANO + message.clock.nsecs
-    if kind == "twist":
-        return Velocity(message.linear.x, message.linear.y, message.angular.z)
-    return message.data
+def _nanoseconds(time: Any) -> int:  # noqa: ANN401 - genpy's
+    return int(time.secs) * NANO + int(time.nsecs)

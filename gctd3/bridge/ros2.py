@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterable
 from importlib import import_module
 from typing import Any
 
-from gctd3.bridge.messages import NANO, TYPES, JointSample, Kind, Topic, Velocity
+from gctd3.bridge.messages import NANO, TYPES, Kind, Topic
 from gctd3.bridge.middleware import Middleware
+from gctd3.bridge.packing import fill, plain
 from gctd3.errors import MiddlewareError, one_line
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -76,7 +77,7 @@ class Ros2(Middleware):
             self._subscribed.add(topic)
 
     def _taker(self, topic: Topic) -> Callable[[Any], None]:
-        return lambda message: self._inbox.put((topic, unpack(topic.kind, message)))
+        return lambda message: self._inbox.put((topic, plain(topic.kind, message, _nanoseconds)))
 
     def serve(self, name: str, function: Callable[[], None]) -> None:
         """Offer a service of the type ``std_srvs/Empty``."""
@@ -90,7 +91,8 @@ class Ros2(Middleware):
 
     def publish(self, topic: Topic, message: Any) -> None:  # noqa: ANN401
         """Publish a message on an advertised topic."""
-        self._publishers[topic].publish(pack(topic.kind, message))
+        made = _type(topic.kind)()
+        self._publishers[topic].publish(fill(made, topic.kind, message, _time, _contact))
 
     def lonely(self, topics: Iterable[Topic]) -> list[str]:
         """Return the names of those topics which have no other node at their other end."""
@@ -126,9 +128,7 @@ def _type(kind: Kind) -> Any:  # noqa: ANN401
         return getattr(import_module(f"{package}.msg"), name)
     except ImportError as error:
         raise MiddlewareError(
-            f"ROS 2 lacks {package} here: build it from its source, or use names=contract or names=paper."
-            if kind == "contacts"
-            else f"ROS 2 lacks {package} here: pip install ros-kilted-{package.replace('_', '-')}."
+            f"ROS 2 lacks {package} here: pip install ros-kilted-{package.replace('_', '-')}."
         ) from error
 
 
@@ -139,41 +139,11 @@ def _time(nanoseconds: int) -> Any:  # noqa: ANN401
     return Time(sec=seconds, nanosec=rest)
 
 
-def pack(kind: Kind, value: Any) -> Any:  # noqa: ANN401
-    """Return the message of ROS 2 for a plain value, see :data:`.Kind`."""
-    message = _type(kind)()
-    if kind == "joints":
-        message.header.stamp, message.header.frame_id = _time(value.stamp), value.frame
-        message.name, message.position = list(value.names), list(value.positions)
-        message.velocity = list(value.velocities)
-    elif kind == "contacts":
-        from gazebo_msgs.msg import ContactState
-
-        message.states = [ContactState()] if value else []
-    elif kind == "clock":
-        message.clock = _time(value)
-    elif kind == "twist":
-        message.linear.x, message.linear.y, message.angular.z = value.forward, value.side, value.turn
-    else:
-        message.data = value
-    return message
+def _nanoseconds(time: Any) -> int:  # noqa: ANN401 - rclpy's
+    return int(time.sec) * NANO + int(time.nanosec)
 
 
-def unpack(kind: Kind, message: Any) -> Any:  # noqa: ANN401
-    """Return the plain value of a message of ROS 2, see :data:`.Kind`."""
-    if kind == "joints":
-        stamp = message.header.stamp
-        return JointSample(
-            stamp.sec * NANO + stamp.nanosec,
-            message.header.frame_id,
-            tuple(message.name),
-            tuple(message.position),
-            tuple(message.velocity),
-        )
-    if kind == "contacts":
-        return bool(message.states)
-    if kind == "clock":
-        return message.clock.sec * NANO + message.clock.nanosec
-    if kind == "twist":
-        return Velocity(message.linear.x, message.linear.y, message.angular.z)
-    return message.data
+def _contact() -> Any:  # noqa: ANN401
+    from gazebo_msgs.msg import ContactState
+
+    return ContactState()

@@ -12,7 +12,7 @@ import numpy as np
 from gctd3.bridge.messages import NANO, JointSample, MessageError, Topic
 from gctd3.bridge.middleware import Middleware
 from gctd3.bridge.names import CLOCK, ENDED, Layout, layout_of
-from gctd3.bridge.network import join
+from gctd3.bridge.network import choose_for, join
 from gctd3.bridge.plant import Plant, plant_of
 from gctd3.bridge.settings import RosSettings
 from gctd3.bridge.walk import Walk
@@ -104,7 +104,9 @@ class SimulatorNode:
     def _publish(self) -> int:
         stamp = self._time()
         self._fresh.clear()
-        for topic, message in self.layout.pack_readings(stamp, f"episode {self._episode}", self.plant.readings()):
+        imu = self.plant.imu(stamp) if self.layout.inertial else None
+        frame = f"episode {self._episode}"
+        for topic, message in self.layout.pack_readings(stamp, frame, self.plant.readings(), imu):
             self.link.publish(topic, message)
         self.link.publish(CLOCK, stamp)
         self._ticks += 1
@@ -230,8 +232,9 @@ def run_simulator(settings: RosSettings) -> Walk:
     """
     contract = contract_of(settings)
     layout = layout_of(contract, settings.names)
+    chosen = choose_for(settings.middleware, layout)
     plant = plant_of(settings.run, contract, settings.seed, settings.seconds)
-    with join(settings.middleware, layout.simulator, settings.listen) as link:
+    with join(chosen, layout.simulator, settings.listen) as link:
         return SimulatorNode(settings, plant, link, layout).run()
 
 

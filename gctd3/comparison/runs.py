@@ -180,10 +180,12 @@ def _trouble(run: Run) -> str | None:
 
 
 def _reached(run: Run) -> bool:
-    """Return whether the run's last evaluations meet the conditions of ``stop_when``."""
+    """Return whether the run's last evaluations meet the conditions of ``stop_when``, confirmed where that is asked."""
     wanted = run.config.get("stop_when.evaluations")
     late = run.rows[-wanted:] if wanted else []
-    return bool(late) and len(late) == wanted and all(map(run.rule.all_reached, late))
+    # Where nothing was to be confirmed the cell is empty, and runs of before have no such column.
+    met = [run.rule.all_reached(row) and row.get("confirmed", 1.0) == 1.0 for row in late]
+    return bool(late) and len(late) == wanted and all(met)
 
 
 def with_results(run: Run) -> Run:

@@ -15,8 +15,9 @@ from gctd3.evaluation.perturbations import PolicyFunction
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.settings import SETTLE, CommandGrid
 from gctd3.evaluation.tracking import errors, is_near, settled
+from gctd3.tasks.heading import AXES
 from gctd3.tasks.simulated_task import SimulatedTask
-from gctd3.tasks.velocity_command import AXES, NAME, HeldCommand
+from gctd3.tasks.velocity_command import NAME, HeldCommand
 
 UNITS = {"forward": "m_s", "side": "m_s", "turn": "rad_s"}
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gctd3.errors import ConfigError, check_between, check_seed
+from gctd3.tasks.heading import AXES
 
 SETTLE = 1.0  # after a new command, which is not counted (s)
-AXES = ("forward", "side", "turn")  # of a commanded velocity
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,8 @@ import numpy as np
 from gctd3.robots.clearance import placed, sole
 from gctd3.robots.mjcf import base_joints, driven_joints
 
+STANDS = 5e-3  # thickness of the sole on which a foot stands, which may be tilted a little (m)
+
 
 def carried_load(model: mujoco.MjModel, qpos: np.ndarray, feet: Sequence[int], floor: int) -> np.ndarray:
     """Return the generalised force with which each degree of freedom carries the standing robot, shape ``[nv]``.
@@ -21,7 +23,7 @@ def carried_load(model: mujoco.MjModel, qpos: np.ndarray, feet: Sequence[int], f
     columns = []
     for body in feet:
         jacobian = np.zeros((3, model.nv))
-        mujoco.mj_jac(model, data, jacobian, None, sole(model, data, body, floor), body)
+        mujoco.mj_jac(model, data, jacobian, None, sole(model, data, body, floor, STANDS), body)
         columns.append(jacobian[2])
     pushes, weight = np.array(columns), data.qfrc_bias.copy()
     root = int(model.body_rootid[feet[0]])

@@ -23,10 +23,20 @@ def foot_points(model: mujoco.MjModel, data: mujoco.MjData, body: int, floor: in
     return np.concatenate(parts) if parts else np.zeros((0, 3))
 
 
-def sole(model: mujoco.MjModel, data: mujoco.MjData, body: int, floor: int) -> np.ndarray:
-    """Return the middle of the lowest 5 mm of a foot, shape ``[3]`` (m)."""
+def sole(model: mujoco.MjModel, data: mujoco.MjData, body: int, floor: int, thickness: float) -> np.ndarray:
+    """Return the middle of the lowest part of a foot, shape ``[3]`` (m); its origin if it cannot touch the floor.
+
+    Args:
+        model: The model.
+        data: Places of all parts, see :func:`placed`.
+        body: The foot.
+        floor: The geom on which it stands.
+        thickness: Height of that part (m).
+    """
     points = foot_points(model, data, body, floor)
-    return np.asarray(points[points[:, 2] < points[:, 2].min() + 0.005].mean(axis=0))
+    if not len(points):
+        return np.array(data.xpos[body])
+    return np.asarray(points[points[:, 2] < points[:, 2].min() + thickness].mean(axis=0))
 
 
 def clearance(model: mujoco.MjModel, data: mujoco.MjData, body: int, floor: int) -> float:

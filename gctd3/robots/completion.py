@@ -17,6 +17,7 @@ from gctd3.errors import RobotError
 from gctd3.robots.added_ground import complete_ground, geom_index, prepare_ground
 from gctd3.robots.carried_load import carried_load
 from gctd3.robots.chosen_feet import check_feet, choose_feet
+from gctd3.robots.clearance import placed, sole
 from gctd3.robots.draft import Draft, check_patterns, listed
 from gctd3.robots.floating_base import AXES
 from gctd3.robots.foot_bodies import split_feet
@@ -25,7 +26,6 @@ from gctd3.robots.ground import (
     add_velocity_sensors,
     contact_sensors,
     find_floor,
-    lowest_of_body,
     touching_bodies,
 )
 from gctd3.robots.held_joints import hold_joints
@@ -38,6 +38,8 @@ from gctd3.robots.standing_key import clip_key, write_key
 if TYPE_CHECKING:
     from gctd3.robots.servo_settings import ServoSettings
     from gctd3.robots.settings import RobotSettings
+
+TOUCHES = 1e-3  # thickness of the sole whose velocity is a foot's: what touches the ground slides on it (m)
 
 
 @dataclass(frozen=True)
@@ -198,8 +200,13 @@ def _sense(draft: Draft, feet: Sequence[str], pose: Mapping[str, np.ndarray] | N
     add_contact_sensors(draft.spec, missing, model.geom(floor).name)
     draft.sensed = tuple(missing)
     draft.edit(f"Sensors of contact with {model.geom(floor).name!r} are added: {listed(missing)}.")
-    qpos = model.qpos0 if pose is None else draft.qpos_of(pose)
-    add_velocity_sensors(draft.spec, {name: lowest_of_body(model, qpos, draft.body_id(name)) for name in feet})
+    data = placed(model, model.qpos0 if pose is None else draft.qpos_of(pose))
+    soles = {}
+    for name in feet:
+        body = draft.body_id(name)
+        place = sole(model, data, body, floor, TOUCHES) - data.xpos[body]
+        soles[name] = np.asarray(place @ data.xmat[body].reshape(3, 3))
+    add_velocity_sensors(draft.spec, soles)
     draft.edit(f"Sensors of the feet's velocities are added: {listed(list(feet))}.")
 
 

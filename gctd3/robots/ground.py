@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from gctd3.robots.geometry import geom_points
 from gctd3.robots.mjcf import bodies_below, body_name, colliding_geoms
 
 _FOUND = 1  # bit of "found", the first number that a contact sensor can report
@@ -257,19 +256,3 @@ def add_velocity_sensors(spec: mujoco.MjSpec, soles: Mapping[str, np.ndarray]) -
             name += "_"
         spec.body(body).add_site(name=name, pos=place)
         spec.add_sensor(type=mujoco.mjtSensor.mjSENS_FRAMELINVEL, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=name)
-
-
-def lowest_of_body(model: mujoco.MjModel, qpos: np.ndarray, body: int) -> np.ndarray:
-    """Return the place of the lowest point of a body's colliding geoms in a pose, in the body's frame (m).
-
-    The mean of the points that are lowest, within a thousandth of a metre; the body's origin if it has none.
-    """
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
-    clouds = [geom_points(model, data, geom) for geom in colliding_geoms(model, body)]
-    points = np.concatenate([*clouds, np.zeros((0, 3))])
-    if not len(points):
-        return np.zeros(3)
-    lowest = points[points[:, 2] < points[:, 2].min() + 1e-3].mean(axis=0)
-    return np.asarray((lowest - data.xpos[body]) @ data.xmat[body].reshape(3, 3))

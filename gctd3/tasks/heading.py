@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from gctd3.tasks.terms import RobotFacts
 
 Array = Any  # of NumPy or of PyTorch
+AXES = ("forward", "side", "turn")  # of a commanded velocity (m/s, m/s, rad/s)
 
 
 def coordinate(now: Measurement, facts: RobotFacts, name: str, rate: bool = False) -> Array:

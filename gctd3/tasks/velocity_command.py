@@ -11,14 +11,13 @@ import numpy as np
 from array_api_compat import array_namespace
 
 from gctd3.errors import ConfigError, check_between
-from gctd3.tasks.heading import heading_velocity, yaw_rate
+from gctd3.tasks.heading import AXES, heading_velocity, yaw_rate
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.memory import COMMAND
 from gctd3.tasks.terms import Array, Command, Remembered, RobotFacts, Step, period
 
 NAME = "velocity"  # of the command in the task
 VELOCITY = f"{COMMAND}{NAME}"  # name of its array, shape [*, 3] (m/s, m/s, rad/s)
-AXES = ("forward", "side", "turn")
 NEEDED = {"side": "side", "turn": "yaw"}  # coordinate of the base that an axis needs
 SWAY = 0.5  # time constant with which the sway of a body that walks averages out (s)
 TRAVELLED, WIDTH = "velocity_travelled", "velocity_width"

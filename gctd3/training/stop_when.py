@@ -35,6 +35,8 @@ COLUMNS = (
     "error_turn",
     "followed_rate",
     "fall_rate",
+    # Whether the policy met the conditions from other starts too, where that was tried: 1 or 0.
+    "confirmed",
 )
 
 

@@ -268,7 +268,9 @@ class Trainer:
             **{key: value for key, value in result.gait().items() if key != "episodes"},
             **{key: value for key in RECORDED if (value := motion.get(key)) is not None},
         }
-        sure = self._ends_with(policy, metrics)
+        sure = self._confirmed(policy, metrics)
+        if sure is not None:
+            metrics["confirmed"] = float(sure)
         if sure or self.best is None or settings.stop_when.score(metrics) > settings.stop_when.score(self.best):
             self.checkpoints.save_best(now.frames, policy, metrics)
             self.best = metrics
@@ -277,12 +279,15 @@ class Trainer:
             self.log.clip(clip(policy, cast(SimulatedTask, self.setup.task), settings.evaluation.seed), FPS, now.frames)
         return metrics
 
-    def _ends_with(self, policy: TensorDictModuleBase, metrics: Mapping[str, float]) -> bool:
-        """Count evaluations in a row that met all conditions; return whether a confirmed policy ends the training."""
+    def _confirmed(self, policy: TensorDictModuleBase, metrics: Mapping[str, float]) -> bool | None:
+        """Count evaluations in a row that met all conditions; return whether a policy that would end is confirmed.
+
+        ``None`` where nothing is to be confirmed.
+        """
         stop_when, now = self.settings.stop_when, self.counters
         now.in_a_row = now.in_a_row + 1 if stop_when.all_reached(metrics) else 0
         if not stop_when.confirm or not stop_when.ends_after(now.in_a_row):
-            return False
+            return None
         again = confirm(policy, self.settings, self.setup.task)
         sure = stop_when.all_reached(again)
         if not sure:

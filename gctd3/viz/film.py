@@ -32,6 +32,7 @@ VIEWS = {"side": (90.0, -8.0), "three_quarter": (130.0, -18.0)}
 CLIP, CLIP_SIZE = 5.0, (320, 240)  # of a training's policies (s; pixels)
 MARK = 0.6  # half the length of a mark (m)
 MARKS = range(-3, 8)  # metres that are marked, from the last one walked
+LARGEST, SMALLEST, LEFT = 13, 7, 8  # of the numbers on top, which fit the picture's width: heights, margin (pixels)
 _INK, _PAPER = (30, 30, 30), (255, 255, 255)  # of the numbers, and around them: readable on any ground
 _PAINT, _EDGE = (np.array(colour, np.float32) for colour in ([0.25, 0.27, 0.30, 1.0], [0.9, 0.91, 0.92, 1.0]))
 
@@ -119,29 +120,44 @@ def draw(
         RenderError: If no OpenGL backend works.
     """
     check_camera(robot, camera)
-    model, data, font = robot.model, mujoco.MjData(robot.model), ImageFont.load_default(13)
-    origin, total = start_point(robot) + walk.origin @ robot.base.frame[:2], walk.total
+    model, data = robot.model, mujoco.MjData(robot.model)
+    origin = start_point(robot) + walk.origin @ robot.base.frame[:2]
+    texts = [_numbers(walk, step, dt) for step in steps] if words else []
+    font = _font(texts, size[0] - 2 * LEFT)
     with Canvas(model, *size) as canvas:
-        for step in steps:
+        for number, step in enumerate(steps):
             data.qpos[:] = walk.qpos[step]
             mujoco.mj_forward(model, data)
             canvas.look(data, _camera(robot, data, camera))
             light_up(canvas.scene, data.subtree_com[robot.base.root])
             for metre in MARKS:
-                number = int(walk.position[step]) + metre
-                above = mark_height(walk.ground, walk.origin + np.array([number, 0.0]), MARK)
-                _mark(canvas.scene, robot, origin + np.array([0.0, 0.0, above]), number, words)
+                place = int(walk.position[step]) + metre
+                above = mark_height(walk.ground, walk.origin + np.array([place, 0.0]), MARK)
+                _mark(canvas.scene, robot, origin + np.array([0.0, 0.0, above]), place, words)
             if walk.rays is not None:
                 draw_rays(canvas.scene, walk.rays[step])
             frame = Image.fromarray(canvas.draw())
             if words:
-                text = (
-                    f"{(step + 1) * dt:.2f} s   {walk.position[step]:.2f} m   {walk.velocity[step]:.2f} m/s\n"
-                    f"reward {walk.reward[step]:.2f}   return {total[step]:.0f}"
-                    + (f"\n{walk.words}" if walk.words else "")
-                )
-                ImageDraw.Draw(frame).text((8, 6), text, fill=_INK, font=font, stroke_width=2, stroke_fill=_PAPER)
+                ink = ImageDraw.Draw(frame)
+                ink.text((LEFT, 6), texts[number], fill=_INK, font=font, stroke_width=2, stroke_fill=_PAPER)
             yield frame
+
+
+def _numbers(walk: Walk, step: int, dt: float) -> str:
+    return (
+        f"{(step + 1) * dt:.2f} s   {walk.position[step]:.2f} m   {walk.velocity[step]:.2f} m/s\n"
+        f"reward {walk.reward[step]:.2f}   return {walk.total[step]:.0f}" + (f"\n{walk.words}" if walk.words else "")
+    )
+
+
+def _font(texts: Iterable[str], width: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Return the font in which all lines of all texts fit into a width (pixels), the smallest if none does."""
+    lines = {line for text in texts for line in text.splitlines()}
+    for points in range(LARGEST, SMALLEST, -1):
+        font = ImageFont.load_default(points)
+        if all(font.getlength(line) <= width for line in lines):
+            return font
+    return ImageFont.load_default(SMALLEST)
 
 
 def start_point(robot: Robot) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from loopback import Hub, Loopback, Task
 
-from gctd3.bridge.messages import JointSample, Topic, Velocity
+from gctd3.bridge.messages import ImuSample, JointSample, Topic, Velocity
 from gctd3.bridge.names import CMD_VEL, ENDED, layout_of
 from gctd3.bridge.policy_node import PolicyNode
 from gctd3.bridge.settings import RosSettings
@@ -289,12 +289,13 @@ def test_cmd_vel_steers(exported_velocity):
     low, high = contract.commands["command_forward_m_s"]
     middle = (low + high) / 2
     values = {f.reading: (f.low + f.high) / 2 for f in contract.features}
-    values |= {name: -1.0 for name in contract.safety.tilt_readings if name.startswith("gravity")}
     values |= {name: 0.0 for name in values if name.startswith("down_")}
     for i, velocity in enumerate([None, Velocity(middle, 0.0, 0.0), *[None] * 7, Velocity(99.0, 0.0, float("nan"))]):
         if velocity is not None:
             peer.publish(CMD_VEL, velocity)
-        for topic, message in layout.pack_readings(10**9 + i * 20_000_000, "", {**values, "distance_m": 0.0}):
+        stamp = 10**9 + i * 20_000_000
+        upright = ImuSample(stamp, "base_link", (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+        for topic, message in layout.pack_readings(stamp, "", {**values, "distance_m": 0.0}, upright):
             peer.publish(topic, message)
     peer.publish(ENDED, "time")
     task.done()

@@ -14,8 +14,11 @@ import pytest
 from ros_nodes import ROS2_PYTHON, Master, Process, needs_ros1, needs_ros2, once, quiet, walked
 
 from gctd3.bridge.middleware import choose, find_ros1
+from gctd3.bridge.names import layout_of
+from gctd3.bridge.network import choose_for
 from gctd3.bridge.settings import RosSettings
 from gctd3.bridge.simulator_node import run_without_ros
+from gctd3.deploy.contract import read_contract
 from gctd3.errors import MiddlewareError
 
 pytest.importorskip("onnxruntime")
@@ -261,6 +264,32 @@ def test_what_is_missing_is_said(monkeypatch, tmp_path):
     (tmp_path / "python3.4").touch()
     monkeypatch.setattr("gctd3.bridge.middleware.DEBIAN_PYTHON", tmp_path / "python3.4")
     assert "is for Python 3.4, and this is 3." in find_ros1()
+    monkeypatch.setattr("gctd3.bridge.middleware.find_spec", lambda name: "there" if name == "rclpy" else None)
+    assert "this environment has ROS 2" in find_ros1() and choose("auto") == "ros2"
+
+
+def test_what_ros2_has_no_type_for(exported, monkeypatch):
+    contract = read_contract(exported.with_suffix(".json"))
+    monkeypatch.setattr("gctd3.bridge.middleware.find_spec", lambda name: "there")
+    monkeypatch.setattr("gctd3.bridge.network.find_spec", lambda name: None)
+    with pytest.raises(MiddlewareError, match=r"^names=authors .* gazebo_msgs/ContactsState, .*: names=paper sends"):
+        choose_for("ros2", layout_of(contract, "authors"))
+    assert [choose_for("ros2", layout_of(contract, names)) for names in ("paper", "contract")] == ["ros2"] * 2
+    assert choose_for("ros1", layout_of(contract, "authors")) == "ros1"
+    monkeypatch.setattr("gctd3.bridge.network.find_spec", lambda name: "there")
+    assert choose_for("ros2", layout_of(contract, "authors")) == "ros2"
+
+
+@needs_ros2
+@pytest.mark.nightly
+@pytest.mark.parametrize("node", ["both", "policy", "simulator"])
+def test_of_ros2_the_authors_contacts_are_refused_in_a_line(exported, node):
+    has = "import importlib.util, sys; sys.exit(importlib.util.find_spec('gazebo_msgs') is not None)"
+    if subprocess.run([ROS2_PYTHON, "-c", has]).returncode:
+        pytest.skip("this ROS 2 has gazebo_msgs")
+    done = once(f"node={node}", f"policy={exported}", "middleware=ros2", "names=authors", python=ROS2_PYTHON)
+    assert done.returncode == 1 and done.stderr.startswith("error: names=authors sends the feet's contacts as gazebo")
+    assert done.stderr.count("\n") == 1
 
 
 ROGUE = """

@@ -1,10 +1,14 @@
 """A policy that would end the training has to meet the conditions from other starts too, and is then kept."""
 
+import json
+
 import numpy as np
 import pytest
 import torch
+from made_up_runs import make
 from running import Recorded, rows, train
 
+from gctd3.comparison.runs import find_runs
 from gctd3.errors import ConfigError
 from gctd3.evaluation import rollout
 from gctd3.training import confirmation, trainer
@@ -44,7 +48,9 @@ def test_a_confirmed_policy_ends_the_training_at_once(tmp_path, capsys, monkeypa
     monkeypatch.setattr(trainer, "evaluate", watched)
     monkeypatch.setattr(confirmation, "evaluate", watched)
     run = train(tmp_path / "run", *EASY, "stop_when.confirm=3")
-    assert [row["frames"] for row in rows(run)] == ["80"]
+    assert [(row["frames"], row["confirmed"]) for row in rows(run)] == [("80", "1.0")]
+    (reported,) = find_runs(run)
+    assert reported.trouble is None
     assert "From 3 other starts this policy meets the conditions too" in capsys.readouterr().out
     (seed, episodes, starts), (other, confirming, more) = seen
     assert (seed, episodes, other, confirming) == (1_000, 2, 1_001, 3)
@@ -60,10 +66,36 @@ def test_a_policy_that_is_not_confirmed_trains_on_and_a_confirmed_one_is_the_bes
 
     monkeypatch.setattr(trainer, "confirm", confirm)
     run = train(tmp_path / "run", *EASY, "stop_when.confirm=3")
-    assert [row["frames"] for row in rows(run)] == ["80", "160"]
+    assert [(row["frames"], row["confirmed"]) for row in rows(run)] == [("80", "0.0"), ("160", "1.0")]
     assert Checkpoints(run).best().name == "best-000000000160" and Recorded.last.finished
     said = capsys.readouterr().out
     assert said.index("misses the conditions that it met") < said.index("meets the conditions too")
+
+
+@pytest.mark.parametrize(
+    "evaluations, confirmed, ended",
+    [
+        (1, ("", "1.0"), True),
+        (1, ("", "0.0"), False),
+        (2, ("", "1.0"), True),
+        # The second evaluation in a row that met the conditions was to be confirmed, and the next one is a first again.
+        (2, ("0.0", ""), False),
+        # Of before there was the column.
+        (2, None, True),
+    ],
+)
+def test_a_run_that_stopped_unconfirmed_is_told_from_one_that_ended(tmp_path, evaluations, confirmed, ended):
+    """All of them met the conditions at their last evaluations."""
+    run = make(tmp_path, "seed0")
+    file = run / ".hydra" / "config.yaml"
+    rule = {"at_least": {"return_mean": 1.0}, "at_most": {}, "evaluations": evaluations, "confirm": 50}
+    file.write_text(json.dumps({**json.loads(file.read_text()), "total_frames": 9000, "stop_when": rule}))
+    if confirmed is not None:
+        table = (run / "progress.csv").read_text().splitlines()
+        cells = ("confirmed", *confirmed)
+        (run / "progress.csv").write_text("".join(f"{row},{cell}\n" for row, cell in zip(table, cells, strict=True)))
+    (found,) = find_runs(tmp_path)
+    assert found.trouble == (None if ended else "stopped at 2,000 of 9,000 frames")
 
 
 @pytest.mark.nightly
@@ -78,6 +110,6 @@ def test_confirming_changes_nothing_of_the_training(tmp_path, monkeypatch):
     weights = Recorded.last.algorithm.actor.state_dict()
     monkeypatch.setattr(trainer, "confirm", never)
     other = train(tmp_path / "other", *EASY, "stop_when.confirm=2")
-    drop = ("wall_s",)
+    drop = ("wall_s", "confirmed")
     assert rows(plain, drop) == rows(other, drop)
     assert all(torch.equal(value, weights[name]) for name, value in Recorded.last.algorithm.actor.state_dict().items())

@@ -59,6 +59,16 @@ def test_numbers_are_on_top(walk, robot):
     assert (before < 80).all(axis=-1).sum() > 50 and (before != after).any()
 
 
+@pytest.mark.parametrize("width", [120, 160, 640])
+def test_numbers_fit_a_narrow_picture(walk, robot, monkeypatch, width):
+    """They end before the picture's edge; in a wide one they have their full height."""
+    monkeypatch.setattr(film, "MARKS", range(0))
+    size = (width, 160)
+    inked = (frame(walk, robot, 9, size=size) != frame(walk, robot, 9, size=size, words=False)).any(axis=-1)
+    columns = np.flatnonzero(inked.any(axis=0))
+    assert columns[0] >= 4 and columns[-1] < width - 4 and columns[-1] - columns[0] > min(0.6 * width, 120)
+
+
 def test_a_picture_may_be_without_words(walk, robot, monkeypatch):
     wordless = frame(walk, robot, words=False)
     assert not (wordless[:40] < 80).all(axis=-1).any()
