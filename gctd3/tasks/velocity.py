@@ -13,6 +13,7 @@ from array_api_compat import array_namespace
 from gctd3.errors import ConfigError
 from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.feature_table import FeatureTable
+from gctd3.tasks.heading import AXES
 from gctd3.tasks.motor_terms import ActionRate, Effort, EndStops
 from gctd3.tasks.randomisations import JointNoise
 from gctd3.tasks.reward import Reward
@@ -20,7 +21,7 @@ from gctd3.tasks.reward_terms import Ended, Living, Tilt
 from gctd3.tasks.simulated_task import Composition, SimulatedTask
 from gctd3.tasks.terminations import Fall, Survive
 from gctd3.tasks.terms import Array, Command, Randomisation, RewardTerm, Termination
-from gctd3.tasks.velocity_command import AXES, NAME, NEEDED, VelocityCommand
+from gctd3.tasks.velocity_command import NAME, NEEDED, VelocityCommand
 from gctd3.tasks.velocity_features import AVERAGED, COMMANDS, privileged_features, velocity_features
 from gctd3.tasks.velocity_terms import StandStill, TrackVelocity, TrackYawRate
 
