@@ -50,6 +50,7 @@ def answered(name, *arguments):
     if code == 2:
         lines = [line for line in said.splitlines() if line.startswith("error: ")]
         assert len(lines) == 1 and len(lines[0]) > len("error: "), said
+        print(lines[0])
     return code
 
 

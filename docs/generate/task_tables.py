@@ -30,10 +30,9 @@ PRESETS = {
     "reward=paper": ("reward=paper",),
     "reward=table3": ("reward=table3",),
     "reward=walk": ("reward=walk",),
-    "robot=quadruped": ("robot=quadruped",),
     "robot=free": ("robot=free", "robot.name=robot.xml"),
 }
-TASKS = {"task=walk": (), "robot=quadruped": PRESETS["robot=quadruped"], "robot=free": PRESETS["robot=free"]}
+TASKS = {"task=walk": (), "robot=free": PRESETS["robot=free"]}
 OURS = "gctd3"  # the source of what is nobody else's
 _ABSENT = "-"
 _CITED = re.compile(r"Table 3|released script|section|arXiv|\b(?:19|20)\d\d\b")

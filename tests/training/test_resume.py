@@ -123,9 +123,9 @@ BOUND, RETURN, ENOUGH = (
 )
 HISTORY = {
     "total_frames=240 logger=none stop_when=never": {"total_frames": 240, "logger": "none", ENOUGH: None},
-    "total_frames=160 logger=csv stop_when=walk": {"total_frames": 160, "logger": "csv", ENOUGH: 2},
+    "total_frames=160 logger=csv stop_when=walk": {"total_frames": 160, "logger": "csv", ENOUGH: 1},
     "logger=none total_frames=240 stop_when=never": {"total_frames": 240, "logger": "none", ENOUGH: None},
-    f"stop_when=walk +{BOUND}=5 {RETURN}=1": {BOUND: 5, RETURN: 1, ENOUGH: 2},
+    f"stop_when=walk +{BOUND}=5 {RETURN}=1": {BOUND: 5, RETURN: 1, ENOUGH: 1},
     f"{BOUND}=6 stop_when.at_least={{return_mean:2}}": {BOUND: 6, RETURN: 2},
     f"{RETURN}=1 +{BOUND}=5": {BOUND: 5, RETURN: 1},
     # The last of a line counts.
