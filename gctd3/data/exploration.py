@@ -11,8 +11,10 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from gctd3.data.evolution import Evolution
 from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
+from gctd3.data.swinging import Swinging
 from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.robot import Robot
 
@@ -131,8 +133,8 @@ class Rhythm(torch.nn.Module):
 class Explorer(TensorDictModuleBase):
     """Act as the collecting policy: warm-up first, then the actor with noise.
 
-    It reads what the actor reads and ``"is_init"``, and, if gaits evolve in the warm-up, ``"position"`` or
-    ``"episode_reward"``, by which it judges them; it writes ``"action"`` ``[robots, A]``.
+    It reads what the actor reads and ``"is_init"``, and, if gaits evolve in the warm-up, ``"position"`` and
+    ``"episode_reward"``, as far as it judges them by these; it writes ``"action"`` ``[robots, A]``.
 
     Args:
         actor: The policy under training.
@@ -166,21 +168,27 @@ class Explorer(TensorDictModuleBase):
         super().__init__()
         self.num_robots = num_robots
         robots = len(range(num_robots)[part])
-        stepping = settings.warmup == "stepping"
         # What tells how good a gait is, if gaits evolve.
-        self._judged_by = "episode_reward" if stepping else "position" if settings.mutation_share > 0 else None
-        self.in_keys = [*actor.in_keys, "is_init", *([self._judged_by] if self._judged_by else [])]
+        self._judged_by: list[str] = []
+        if settings.warmup in ("stepping", "swinging"):
+            self._judged_by = ["episode_reward", *(["position"] if settings.least_speed is not None else [])]
+        elif settings.mutation_share > 0:
+            self._judged_by = ["position"]
+        self.in_keys = [*actor.in_keys, "is_init", *self._judged_by]
         self.out_keys = ["action"]
         self.actor = actor
         self.settings = settings
         settings.check_robot(robot, control_dt)
-        self.rhythm: Rhythm | Stepping | None = None
+        self.rhythm: Rhythm | Evolution | None = None
+        steps, share = settings.learning_starts // num_robots, settings.mutation_share
+        slow = settings.least_speed
         if settings.warmup == "rhythmic":
-            self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, settings.mutation_share)
-        elif stepping:
-            steps = settings.learning_starts // num_robots
-            share = settings.mutation_share
-            self.rhythm = Stepping(robot, robots, settings.gait_time, control_dt, share, gait, steps)
+            self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, share)
+        elif settings.warmup == "stepping":
+            self.rhythm = Stepping(robot, robots, settings.gait_time, control_dt, share, gait, steps, slow)
+        elif settings.warmup == "swinging":
+            trial = settings.gait_time
+            self.rhythm = Swinging(robot, robots, settings.frequency, trial, control_dt, share, steps, slow)
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
@@ -223,8 +231,8 @@ class Explorer(TensorDictModuleBase):
 
     def _warmup(self, tensordict: TensorDictBase) -> Tensor:
         if self.rhythm is not None:
-            reached = tensordict.get(self._judged_by).reshape(-1) if self._judged_by else None
-            return self.rhythm(tensordict.get("is_init").reshape(-1), reached)
+            reached = (tensordict.get(key).reshape(-1) for key in self._judged_by)
+            return self.rhythm(tensordict.get("is_init").reshape(-1), *reached)
         if (int(self.frames) // self.num_robots) % self.settings.hold == 0:
             self.held.uniform_(-1.0, 1.0)
         return self.held.clone()

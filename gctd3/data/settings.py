@@ -23,14 +23,17 @@ class ExplorationSettings:
 
     Attributes:
         warmup: ``rhythmic``: a sine for every joint, left and right half a period apart (:class:`.Rhythm`);
-            ``stepping``: feet that step to and fro, at sizes by the legs' length (:class:`.Stepping`); ``uniform``:
+            ``swinging``: the same gaits, which evolve by the training's reward (:class:`.Swinging`); ``stepping``: feet
+            that step to and fro, at sizes by the legs' length, which evolve too (:class:`.Stepping`); ``uniform``:
             random actions, each held for a while.
         learning_starts: Frames of the warm-up, of all robots together, before the policy acts.
         hold: Control steps for which warmup=uniform holds an action.
-        frequency: Lowest and highest frequency of warmup=rhythmic (Hz).
-        mutation_share: Share of the gaits of warmup=rhythmic and warmup=stepping that are mutations of those that got
-            farthest before; the rest are drawn anew.
-        gait_time: Time for which warmup=stepping tries a gait (s).
+        frequency: Lowest and highest frequency of warmup=rhythmic and warmup=swinging (Hz).
+        mutation_share: Share of new gaits that are mutations of those that got farthest before (warmup=rhythmic) or
+            were paid most (warmup=swinging, stepping); the rest are drawn anew.
+        gait_time: Time for which warmup=swinging and warmup=stepping try a gait (s).
+        least_speed: Speed below which a gait of warmup=swinging or stepping counts as less fit, however much the reward
+            pays for it (m/s); ``None`` for the reward alone.
         noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions (half a joint's
             range), spread geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for
             a policy that is random by itself.
@@ -38,12 +41,13 @@ class ExplorationSettings:
             (arXiv:1509.02971) of the same standard deviation; 0 for white noise, as on the others.
     """
 
-    warmup: Literal["rhythmic", "stepping", "uniform"] = "rhythmic"
+    warmup: Literal["rhythmic", "swinging", "stepping", "uniform"] = "rhythmic"
     learning_starts: int = 10_000
     hold: int = 5
     frequency: Sequence[float] = (1.2, 2.4)
     mutation_share: float = 0.0
     gait_time: float = 2.0
+    least_speed: float | None = None
     noise: Sequence[float] | None = (0.05, 0.5)
     noise_time: float = 0.0
 
@@ -56,6 +60,8 @@ class ExplorationSettings:
             raise ConfigError(f"frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
         if not self.gait_time > 0:
             raise ConfigError(f"gait_time must be above 0 s, got {self.gait_time}.")
+        if self.least_speed is not None and not self.least_speed > 0:
+            raise ConfigError(f"least_speed must be above 0 m/s, or null, got {self.least_speed}.")
         if not 0.0 <= self.mutation_share <= 1.0:
             raise ConfigError(f"mutation_share must be between 0 and 1, got {self.mutation_share}.")
         # Actions are clipped to [-1, 1]: noise beyond that is no longer noise on an action.
@@ -73,7 +79,7 @@ class ExplorationSettings:
         """
         if self.warmup == "stepping" and not robot.hips:
             raise ConfigError("exploration.warmup must not be stepping: the robot has no leg.")
-        if self.warmup != "rhythmic":
+        if self.warmup not in ("rhythmic", "swinging"):
             return
         if self.frequency[1] > 0.5 / control_dt:
             raise ConfigError(
@@ -83,7 +89,7 @@ class ExplorationSettings:
         # Only joints have mirror images.
         if len(robot.actuated) != robot.model.nu:
             raise ConfigError(
-                f"exploration.warmup must be uniform, got rhythmic: {robot.model.nu - len(robot.actuated)} of the "
+                f"exploration.warmup must be uniform, got {self.warmup}: {robot.model.nu - len(robot.actuated)} of the "
                 f"{robot.model.nu} actions move no joint, and only joints have a mirror image."
             )
 
