@@ -26,10 +26,17 @@ class Imitation:
         settings: How long, and how strongly.
         controller: Function from a batch of observations ``[B]`` to the actions ``[B, A]`` that the controller takes
             there.
+        sample: Function that draws a batch of observations for which the controller is known; ``None`` if it is for
+            all, so that it is imitated on the batches of the updates.
     """
 
-    def __init__(self, settings: ImitationSettings, controller: Callable[[TensorDictBase], Tensor]) -> None:
-        self.settings, self.controller = settings, controller
+    def __init__(
+        self,
+        settings: ImitationSettings,
+        controller: Callable[[TensorDictBase], Tensor],
+        sample: Callable[[], TensorDictBase] | None = None,
+    ) -> None:
+        self.settings, self.controller, self.sample = settings, controller, sample
 
     def begin(self, actor: TensorDictModuleBase, sample: Callable[[], TensorDictBase], learning_rate: float) -> float:
         """Train an actor on batches of observations until it acts as the controller.
@@ -37,14 +44,18 @@ class Imitation:
         Args:
             actor: The actor, whose parameters change.
             sample: Function that draws a batch.
-            learning_rate: Learning rate of Adam.
+            learning_rate: Learning rate of Adam where the settings have none.
 
         Returns:
             The mean squared difference of the actions in the last batch.
         """
-        optimizer = torch.optim.Adam(actor.parameters(), lr=learning_rate)
+        falls = self.settings.learning_rate is not None
+        rate = self.settings.learning_rate or learning_rate
+        optimizer = torch.optim.Adam(actor.parameters(), lr=rate)
         difference = torch.zeros(())
-        for _ in range(self.settings.updates):
+        for update in range(self.settings.updates):
+            if falls:
+                optimizer.param_groups[0]["lr"] = rate * (1.0 - update / self.settings.updates)
             difference = self.difference(actor, sample())
             optimizer.zero_grad(set_to_none=True)
             difference.backward()  # type: ignore[no-untyped-call]
@@ -76,4 +87,7 @@ class Imitation:
             updates: Number of this update.
         """
         weight = self.weight(updates)
-        return loss + weight * loss.detach().abs() * self.difference(actor, batch) if weight else loss
+        if not weight:
+            return loss
+        seen = batch if self.sample is None else self.sample()
+        return loss + weight * loss.detach().abs() * self.difference(actor, seen)

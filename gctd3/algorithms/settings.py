@@ -15,12 +15,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ImitationSettings:
-    """Hold the settings of imitation: the policy begins as the fittest gait of warmup=stepping.
+    """Hold the settings of imitation: the policy begins as the fittest of the gaits that evolve in the warm-up.
 
-    It needs a policy that observes a clock (:class:`.GaitClock`).
+    A policy that observes a clock (:class:`.GaitClock`) acts as the gait does at that time; one that observes none
+    learns from what robots observed and did in the warm-up's last round, which collectors in other processes do not
+    record.
 
     Attributes:
         updates: Updates of the actor towards the gait, before the first one of the critics; 0 for no imitation.
+        learning_rate: Learning rate at the first of these updates, from which it falls linearly to 0, so that the last
+            batches are not followed more than the others; ``None`` for the algorithm's, which stays.
         critics_first: Updates of the critics that follow before the actor learns on.
         weight: Factor of the mean squared difference from the gait's actions in the actor's loss, in the unit of that
             loss (TD3+BC, arXiv:2106.06860, has 0.4 for data).
@@ -28,6 +32,7 @@ class ImitationSettings:
     """
 
     updates: int = 0
+    learning_rate: float | None = None
     critics_first: int = 1000
     weight: float = 12.0
     fade: int = 8000
@@ -36,6 +41,8 @@ class ImitationSettings:
         for name in ("updates", "critics_first"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"{name} must be at least 0, got {getattr(self, name)}.")
+        if self.learning_rate is not None and not self.learning_rate > 0:
+            raise ConfigError(f"learning_rate must be above 0, or null, got {self.learning_rate}.")
         if self.weight < 0:
             raise ConfigError(f"weight must be at least 0, got {self.weight}.")
         if self.fade < 1:

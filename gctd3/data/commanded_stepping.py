@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import ClassVar
 
 import torch
@@ -39,7 +40,7 @@ class CommandedStepping(Stepping):
     moments: Tensor
     earnings: Tensor
 
-    GENES: ClassVar[dict[str, tuple[float, float, bool]]] = {
+    GENES: ClassVar[Mapping[str, tuple[float, float, bool]]] = {
         "forward_gain": (0.7, 1.6, False),
         "side_gain": (0.7, 1.6, False),
         "turn_gain": (0.7, 2.0, False),
@@ -66,8 +67,10 @@ class CommandedStepping(Stepping):
         steps: int | None = None,
         limit: int | None = None,
         balances: bool = False,
+        least_speed: float | None = None,
     ) -> None:
-        super().__init__(robot, num_robots, trial, control_dt, mutation_share, gait, steps, limit, balances)
+        pace = (trial, control_dt, mutation_share)
+        super().__init__(robot, num_robots, *pace, gait, steps, limit, balances, least_speed)
         self.register_buffer("places", foot_places(robot), persistent=False)
         self.register_buffer("results", torch.full((num_robots,), -math.inf))
         self.register_buffer("asked", torch.zeros(num_robots, self.SIZES))
@@ -84,15 +87,17 @@ class CommandedStepping(Stepping):
         self,
         is_init: Tensor,
         returned: Tensor,
+        position: Tensor | None = None,
         command: Tensor | None = None,
         posture: Tensor | None = None,
         moved: Tensor | None = None,
     ) -> Tensor:
-        """Return the actions ``[robots, A]`` of the next step; see :meth:`.Stepping.forward`.
+        """Return the actions ``[robots, A]`` of the next step; see :meth:`.Evolution.forward`.
 
         Args:
             is_init: Robots whose episode begins, bool ``[robots]``.
             returned: Sum of the episode's rewards so far, ``[robots]``.
+            position: Distance walked in the episode, ``[robots]`` (m); needed only with a least speed.
             command: Commanded velocity, ``[robots, 3]`` (m/s, m/s, rad/s).
             posture: The body's posture, ``[robots, 6]``, which gaits with reflexes need.
             moved: Velocity without the body's sway, ``[robots, 3]`` (m/s, m/s, rad/s); ``None`` where it is not known,
@@ -100,7 +105,7 @@ class CommandedStepping(Stepping):
         """
         if command is not None and moved is not None:
             self._correct(is_init, command, moved)
-        action = super().forward(is_init, returned, command, posture)
+        action = super().forward(is_init, returned, position, command, posture)
         # The trial that this step belongs to may just have begun.
         self.asked_so_far.copy_(torch.where((self.age > 1)[:, None], self.asked_so_far, 0.0) + self._sizes(command))
         return action
@@ -154,11 +159,11 @@ class CommandedStepping(Stepping):
         forward, side, turn = command[:, :1], command[:, 1:2], command[:, 2:]
         return torch.stack([forward - turn * self.places[:, 1], side + turn * self.places[:, 0]], dim=-1)
 
-    def _steps_of(self, genes: dict[str, Tensor], command: Tensor | None) -> tuple[Tensor, Tensor]:
+    def _steps_of(self, genes: Mapping[str, Tensor], command: Tensor | None) -> tuple[Tensor, Tensor]:
         if command is None:
             raise ValueError("Gaits that follow a command need it.")
         gains = torch.stack([genes[f"{axis}_gain"] for axis in ("forward", "side", "turn")], dim=-1)
-        time = genes["duty"] / (self._pendulum * genes["frequency"])  # for which a foot is down (s)
+        time = genes["duty"] / (self._unit * genes["frequency"])  # for which a foot is down (s)
         half = 0.5 * time[:, None, None] / self._length * self._ground(gains * self.correction(command))
         fastest = self._ground(command).norm(dim=-1).amax(dim=-1, keepdim=True)
         return half, (fastest / (self.SLOW * math.sqrt(GRAVITY * self._length))).clamp(max=1.0)

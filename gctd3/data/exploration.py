@@ -12,8 +12,10 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.data.commanded_stepping import CommandedStepping
+from gctd3.data.evolution import Evolution
 from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
+from gctd3.data.swinging import Swinging
 from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.robot import Robot
 from gctd3.tasks.posture import Posture
@@ -135,8 +137,8 @@ class Rhythm(torch.nn.Module):
 class Explorer(TensorDictModuleBase):
     """Act as the collecting policy: warm-up first, then the actor with noise.
 
-    It reads what the actor reads and ``"is_init"``, and, if gaits evolve in the warm-up, ``"position"`` or
-    ``"episode_reward"``, by which it judges them; it writes ``"action"`` ``[robots, A]``.
+    It reads what the actor reads and ``"is_init"``, and, if gaits evolve in the warm-up, ``"position"`` and
+    ``"episode_reward"``, as far as it judges them by these; it writes ``"action"`` ``[robots, A]``.
 
     Args:
         actor: The policy under training.
@@ -182,11 +184,15 @@ class Explorer(TensorDictModuleBase):
         robots = len(range(num_robots)[part])
         stepping = settings.warmup == "stepping"
         # What tells how good a gait is, if gaits evolve.
-        self._judged_by = "episode_reward" if stepping else "position" if settings.mutation_share > 0 else None
+        self._judged_by: list[str] = []
+        if settings.warmup in ("stepping", "swinging"):
+            self._judged_by = ["episode_reward", *(["position"] if settings.least_speed is not None else [])]
+        elif settings.mutation_share > 0:
+            self._judged_by = ["position"]
         self._command = command if stepping else None
         self._velocity = velocity if self._command is not None else None
         self._posture = posture if stepping and settings.answers(robot) else None
-        seen = [*([self._judged_by] if self._judged_by else []), *(["counters"] if self._velocity is not None else [])]
+        seen = [*self._judged_by, *(["counters"] if self._velocity is not None else [])]
         self.in_keys = [*actor.in_keys, "is_init", *seen]
         if self._posture is not None and "nodes" not in self.in_keys:
             self.in_keys.append("nodes")
@@ -194,14 +200,16 @@ class Explorer(TensorDictModuleBase):
         self.actor = actor
         self.settings = settings
         settings.check_robot(robot, control_dt)
-        self.rhythm: Rhythm | Stepping | None = None
+        self.rhythm: Rhythm | Evolution | None = None
+        steps, share = settings.learning_starts // num_robots, settings.mutation_share
+        trial, slow = settings.trial(robot), settings.least_speed
         if settings.warmup == "rhythmic":
-            self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, settings.mutation_share)
+            self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, share)
+        elif settings.warmup == "swinging":
+            self.rhythm = Swinging(robot, robots, settings.frequency, trial, control_dt, share, steps, limit, slow)
         elif stepping:
-            steps = settings.learning_starts // num_robots
-            share, kind = settings.mutation_share, Stepping if command is None else CommandedStepping
-            trial, balances = settings.trial(robot), self._posture is not None
-            self.rhythm = kind(robot, robots, trial, control_dt, share, gait, steps, limit, balances)
+            kind, balances = Stepping if command is None else CommandedStepping, self._posture is not None
+            self.rhythm = kind(robot, robots, trial, control_dt, share, gait, steps, limit, balances, slow)
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
@@ -259,16 +267,17 @@ class Explorer(TensorDictModuleBase):
         return self.wander
 
     def _warmup(self, tensordict: TensorDictBase) -> Tensor:
-        if isinstance(self.rhythm, Stepping):
-            begins, returned = (tensordict.get(key).reshape(-1) for key in ("is_init", "episode_reward"))
-            posture = None if self._posture is None else self._posture(tensordict.get("nodes"))
-            if not isinstance(self.rhythm, CommandedStepping) or self._command is None:
-                return self.rhythm(begins, returned, None, posture)
-            moved = None if self._velocity is None else self._velocity(tensordict.get("counters"))
-            return self.rhythm(begins, returned, self._command(tensordict.get("nodes")), posture, moved)
         if self.rhythm is not None:
-            reached = tensordict.get(self._judged_by).reshape(-1) if self._judged_by else None
-            return self.rhythm(tensordict.get("is_init").reshape(-1), reached)
+            reached = [tensordict.get(key).reshape(-1) for key in ("is_init", *self._judged_by)]
+            seen: dict[str, Tensor] = {}
+            if self._posture is not None:
+                seen["posture"] = self._posture(tensordict.get("nodes"))
+            if self._command is not None:
+                seen["command"] = self._command(tensordict.get("nodes"))
+            if self._velocity is not None:
+                seen["moved"] = self._velocity(tensordict.get("counters"))
+            action: Tensor = self.rhythm(*reached, **seen)
+            return action
         if (int(self.frames) // self.num_robots) % self.settings.hold == 0:
             self.held.uniform_(-1.0, 1.0)
         return self.held.clone()

@@ -6,7 +6,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from gctd3.data.stepping import OpenLoop, Stepping
+from gctd3.data.evolution import Evolution, OpenLoop
+from gctd3.data.stepping import Stepping
 from gctd3.tasks.simulated_task import SimulatedTask
 
 
@@ -18,7 +19,7 @@ class ByClock(TensorDictModuleBase):
         task: Task whose observations show a clock.
     """
 
-    def __init__(self, gait: Stepping, task: SimulatedTask) -> None:
+    def __init__(self, gait: Evolution, task: SimulatedTask) -> None:
         super().__init__()
         self.in_keys, self.out_keys = ["nodes"], ["action"]
         # Not registered: the gaits belong to the explorer.
@@ -28,7 +29,7 @@ class ByClock(TensorDictModuleBase):
         """Return the actions ``[*, A]`` after observations ``[*]``, on the CPU."""
         gait, task = self._of
         nodes, command = seen["nodes"].to("cpu"), task.shown_command
-        posture = task.posture(nodes) if gait.balances else None
+        posture = task.posture(nodes) if _balances(gait) else None
         return gait.fittest_action(task.phase(nodes), None if command is None else command(nodes), posture)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -36,13 +37,17 @@ class ByClock(TensorDictModuleBase):
         return tensordict.set("action", self.action(tensordict))
 
 
-def fittest_gait(gait: Stepping, task: SimulatedTask) -> OpenLoop | ByClock | None:
+def fittest_gait(gait: Evolution, task: SimulatedTask) -> OpenLoop | ByClock | None:
     """Return the fittest gait as a policy for evaluations, ``None`` if none was tried, or none can be replayed.
 
     Args:
         gait: Gaits of the warm-up.
         task: Their task. Gaits that follow a command or have reflexes are replayed by its clock.
     """
-    if task.shown_command is None and not gait.balances:
+    if task.shown_command is None and not _balances(gait):
         return gait.fittest(task.time_limit)
     return ByClock(gait, task) if gait.tried and task.gait is not None else None
+
+
+def _balances(gait: Evolution) -> bool:
+    return isinstance(gait, Stepping) and gait.balances

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
 
@@ -23,7 +25,7 @@ def _genes() -> dict[str, tuple[float, float, bool]]:
 GENES: dict[str, tuple[float, float, bool]] = _genes()
 
 
-def reflexes(genes: dict[str, Tensor], posture: Tensor, lift: Tensor, left: Tensor) -> Tensor:
+def reflexes(genes: Mapping[str, Tensor], posture: Tensor, lift: Tensor, left: Tensor) -> Tensor:
     """Compute how far feet move for the sake of balance.
 
     Each displacement is linear in what is sensed. Forward ones answer to pitch and speed, those to the side to roll and

@@ -25,15 +25,18 @@ class ExplorationSettings:
 
     Attributes:
         warmup: ``rhythmic``: a sine for every joint, left and right half a period apart (:class:`.Rhythm`);
-            ``stepping``: feet that step to and fro, at sizes by the legs' length (:class:`.Stepping`); ``uniform``:
+            ``swinging``: the same gaits, which evolve by the training's reward (:class:`.Swinging`); ``stepping``: feet
+            that step to and fro, at sizes by the legs' length, which evolve too (:class:`.Stepping`); ``uniform``:
             random actions, each held for a while.
         learning_starts: Frames of the warm-up, of all robots together, before the policy acts.
         hold: Control steps for which warmup=uniform holds an action.
-        frequency: Lowest and highest frequency of warmup=rhythmic (Hz).
-        mutation_share: Share of the gaits of warmup=rhythmic and warmup=stepping that are mutations of those that got
-            farthest before; the rest are drawn anew.
-        gait_time: Time for which warmup=stepping tries a gait (s); ``None`` for 2 s, or 4 s with reflexes, since a gait
-            that loses its balance may take so long to fall.
+        frequency: Lowest and highest frequency of warmup=rhythmic and warmup=swinging (Hz).
+        mutation_share: Share of new gaits that are mutations of those that got farthest before (warmup=rhythmic) or
+            were paid most (warmup=swinging, stepping); the rest are drawn anew.
+        gait_time: Time for which warmup=swinging and warmup=stepping try a gait (s); ``None`` for 2 s, or 4 s with
+            reflexes, since a gait that loses its balance may take so long to fall.
+        least_speed: Speed below which a gait of warmup=swinging or stepping counts as less fit, however much the reward
+            pays for it (m/s); ``None`` for the reward alone.
         reflexes: Whether the feet of warmup=stepping answer to the body's posture (:func:`.reflexes`); ``None`` for
             those of robots with two feet, which have to balance.
         noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions (half a joint's
@@ -43,12 +46,13 @@ class ExplorationSettings:
             (arXiv:1509.02971) of the same standard deviation; 0 for white noise, as on the others.
     """
 
-    warmup: Literal["rhythmic", "stepping", "uniform"] = "rhythmic"
+    warmup: Literal["rhythmic", "swinging", "stepping", "uniform"] = "rhythmic"
     learning_starts: int = 10_000
     hold: int = 5
     frequency: Sequence[float] = (1.2, 2.4)
     mutation_share: float = 0.0
     gait_time: float | None = None
+    least_speed: float | None = None
     reflexes: bool | None = None
     noise: Sequence[float] | None = (0.05, 0.5)
     noise_time: float = 0.0
@@ -62,6 +66,8 @@ class ExplorationSettings:
             raise ConfigError(f"frequency must be [lowest, highest] > 0 Hz, got {list(self.frequency)}.")
         if self.gait_time is not None and not self.gait_time > 0:
             raise ConfigError(f"gait_time must be above 0 s, got {self.gait_time}.")
+        if self.least_speed is not None and not self.least_speed > 0:
+            raise ConfigError(f"least_speed must be above 0 m/s, or null, got {self.least_speed}.")
         if not 0.0 <= self.mutation_share <= 1.0:
             raise ConfigError(f"mutation_share must be between 0 and 1, got {self.mutation_share}.")
         # Actions are clipped to [-1, 1]: noise beyond that is no longer noise on an action.
@@ -72,10 +78,12 @@ class ExplorationSettings:
 
     def answers(self, robot: Robot) -> bool:
         """Return whether feet that step answer to the body's posture."""
+        if self.warmup != "stepping":
+            return False
         return len(robot.feet) <= MOST_BALANCING if self.reflexes is None else self.reflexes
 
     def trial(self, robot: Robot) -> float:
-        """Return the time for which a gait of feet that step is tried (s)."""
+        """Return the time for which an evolving gait is tried (s)."""
         if self.gait_time is not None:
             return self.gait_time
         return GAIT_TIMES[self.answers(robot)]
@@ -89,7 +97,7 @@ class ExplorationSettings:
         """
         if self.warmup == "stepping" and not robot.hips:
             raise ConfigError("exploration.warmup must not be stepping: the robot has no leg.")
-        if self.warmup != "rhythmic":
+        if self.warmup not in ("rhythmic", "swinging"):
             return
         if self.frequency[1] > 0.5 / control_dt:
             raise ConfigError(
@@ -99,7 +107,7 @@ class ExplorationSettings:
         # Only joints have mirror images.
         if len(robot.actuated) != robot.model.nu:
             raise ConfigError(
-                f"exploration.warmup must be uniform, got rhythmic: {robot.model.nu - len(robot.actuated)} of the "
+                f"exploration.warmup must be uniform, got {self.warmup}: {robot.model.nu - len(robot.actuated)} of the "
                 f"{robot.model.nu} actions move no joint, and only joints have a mirror image."
             )
 

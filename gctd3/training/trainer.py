@@ -26,12 +26,13 @@ from gctd3.algorithms.imitation import Imitation
 from gctd3.config.build import again
 from gctd3.config.fields import in_yaml
 from gctd3.data.build_collector import build_collector
+from gctd3.data.demonstration import Demonstration
+from gctd3.data.evolution import Evolution
 from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
 from gctd3.data.gait_policy import ByClock, fittest_gait
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.data.replay import Replay
-from gctd3.data.stepping import Stepping
 from gctd3.envs.factory import EnvRecipe, build_env
 from gctd3.errors import NumericalError, RunError, TrainingError, WorkerError
 from gctd3.evaluation.rollout import evaluate
@@ -94,6 +95,7 @@ class Trainer:
         self.algorithm, self.explorer = self._new_learner()
         mirror = MirrorAugmentation(setup.reflection, task.history) if setup.mirrors(settings.replay.mirror) else None
         self.replay = Replay(settings.replay, settings.algo.gamma, task.history, mirror, self.device)
+        self.demonstration = Demonstration(settings.replay.batch_size, self.replay.mirror, self.device)
         recipe = EnvRecipe(task, env)
         self.collector = build_collector(settings.collector, recipe, settings.batch_steps, settings.seed, self.explorer)
         evaluated = env.for_evaluation(settings.evaluation.episodes, env.threads)
@@ -189,9 +191,12 @@ class Trainer:
 
     def _learn(self, line: ProgressLine, seen: dict[str, TensorDictBase]) -> None:
         settings, now = self.settings, self.counters
+        demonstrates = self._demonstrates
         seen["collected"] = collected = self.collector.collect()
         check_collected(collected)
         self.replay.extend(collected)
+        if demonstrates:
+            self.demonstration.add(collected)
         metrics: dict[str, Tensor] = {}
         if not self.explorer.warming_up and self.replay.ready:
             if not self.algorithm.updates:
@@ -218,21 +223,34 @@ class Trainer:
         elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
             self._begin_again(line)
 
+    @property
+    def _demonstrates(self) -> bool:
+        """Return whether robots now follow the fittest gaits, which a policy without a clock learns from."""
+        settings, gait = self.settings, self.explorer.rhythm
+        asked = settings.imitation.updates and settings.init is None and self.setup.task.gait is None
+        return bool(asked and isinstance(gait, Evolution) and self.explorer.warming_up and gait.final)
+
     def _imitate(self) -> None:
         """Let the actor begin as the fittest gait of the warm-up, if it is asked to."""
+        if isinstance(self.explorer.rhythm, Evolution) and self.explorer.rhythm.final:
+            self.demonstration.keep(self.explorer.rhythm.followers)
         self._follow_gait()
-        if self.algorithm.imitation is not None:
-            rate = self.settings.algo.learning_rate
-            difference = self.algorithm.imitation.begin(self.algorithm.actor, self.replay.sample, rate)
+        imitation = self.algorithm.imitation
+        if imitation is not None:
+            rate, sample = self.settings.algo.learning_rate, imitation.sample or self.replay.sample
+            difference = imitation.begin(self.algorithm.actor, sample, rate)
             self.algorithm.average_from_actor()
             tqdm.write(f"The policy begins as the warm-up's fittest gait (mean squared difference {difference:.1e}).")
 
     def _follow_gait(self) -> None:
         """Let the algorithm imitate the warm-up's fittest gait, if it is asked to and one was tried."""
         settings, gait, task = self.settings.imitation, self.explorer.rhythm, self.setup.task
-        if not settings.updates or self.settings.init is not None or task.gait is None:
+        if not settings.updates or self.settings.init is not None:
             return
-        if isinstance(gait, Stepping) and gait.tried:
+        if len(self.demonstration):
+            sample = self.demonstration.sample
+            self.algorithm.imitation = Imitation(settings, lambda seen: seen["action"], sample)
+        elif task.gait is not None and isinstance(gait, Evolution) and gait.tried:
             self.algorithm.imitation = Imitation(settings, ByClock(gait, cast(SimulatedTask, task)).action)
 
     def _begin_again(self, line: ProgressLine) -> None:
@@ -246,6 +264,7 @@ class Trainer:
         self._begin_from_a_run()
         self.collector.follow(self.explorer)
         self.replay.clear()
+        self.demonstration.clear()
         now.restarts, now.promising = now.restarts + 1, now.frames
         now.next_evaluation = now.frames + self._first_evaluation
 
@@ -298,7 +317,7 @@ class Trainer:
     def _evaluate_gait(self) -> None:
         """Evaluate the warm-up's fittest gait without a policy, to see later what learning has added."""
         rhythm, task = self.explorer.rhythm, self.setup.task
-        if not isinstance(rhythm, Stepping) or "film" not in task.abilities:
+        if not isinstance(rhythm, Evolution) or "film" not in task.abilities:
             return
         gait = fittest_gait(rhythm, cast(SimulatedTask, task))
         if gait is None:
@@ -368,6 +387,7 @@ class Trainer:
             "rows": self.log.rows,
             "algorithm": self.algorithm.state_dict(),
             "explorer": self.explorer.state_dict(),
+            "demonstration": self.demonstration.state_dict(),
             "collector": self.collector.state_dict(),
             "watch": self.watch.state_dict(),
             "random": random_state(self.device),
@@ -380,6 +400,7 @@ class Trainer:
         self.log.restore(state["rows"], self.counters.frames)
         self.algorithm.load_state_dict(state["algorithm"])
         self.explorer.load_state_dict(state["explorer"])
+        self.demonstration.load_state_dict(state.get("demonstration"))
         if self.algorithm.updates:
             self._follow_gait()
         self.collector.load_state_dict(state["collector"])

@@ -37,7 +37,7 @@ def genes_of(gaits):
 def placed(robot, gaits, cycles, command):
     """Return where each foot is in the body's frame, by MuJoCo's kinematics, ``[feet, 3]`` (m)."""
     data = mujoco.MjData(robot.model)
-    action = gaits._act(genes_of(gaits), torch.tensor([float(cycles)]), torch.tensor([command]))[0].numpy()
+    action = gaits.act(genes_of(gaits), torch.tensor([float(cycles)]), torch.tensor([command]))[0].numpy()
     data.qpos[:] = robot.standing_qpos
     data.qpos[[robot.joint(name).qpos for name in robot.actuated]] += robot.action_map[1] * action
     mujoco.mj_kinematics(robot.model, data)
@@ -68,9 +68,9 @@ def test_feet_on_the_ground_move_against_the_body(quadruped, command):
 def test_a_robot_that_is_to_stand_keeps_its_feet_down(quadruped):
     gaits = commanded(quadruped, lift=0.3)
     for cycles in (0.0, 0.3, 0.6):
-        still = gaits._act(genes_of(gaits), torch.tensor([cycles]), torch.zeros(1, 3))
+        still = gaits.act(genes_of(gaits), torch.tensor([cycles]), torch.zeros(1, 3))
         assert not still.any()
-        walks = gaits._act(genes_of(gaits), torch.tensor([cycles]), torch.tensor([[0.3, 0.0, 0.0]]))
+        walks = gaits.act(genes_of(gaits), torch.tensor([cycles]), torch.tensor([[0.3, 0.0, 0.0]]))
         assert walks.abs().max() > 0.01
 
 
@@ -96,7 +96,7 @@ def test_a_hard_command_does_not_make_a_gait_less_fit(quadruped):
     better[5] = 0.2
     command = torch.zeros(robots, 3)
     for step in range(5 * 6 + 1):
-        gaits(~nothing if step == 0 else nothing, returned, command)
+        gaits(~nothing if step == 0 else nothing, returned, command=command)
         if step % 5 == 0:
             command = torch.rand(robots, 3, generator=generator) - 0.5
             # A trial's first action follows its command.
@@ -113,7 +113,7 @@ def test_a_trial_that_the_time_limit_cuts_short_counts_as_no_fall(quadruped):
     begins, command = torch.ones(2, dtype=torch.bool), torch.tensor([[0.3, 0.0, 0.0]]).expand(2, 3)
     for step in range(8):
         now = begins if step == 0 else torch.tensor([step == 7, step == 3])
-        gaits(now, torch.full((2,), 0.1 * step) * ~now, command)
+        gaits(now, torch.full((2,), 0.1 * step) * ~now, command=command)
     # The first one's trial of five steps ended, its second one was cut short; the other robot fell after three.
     assert float(gaits.results[0]) == pytest.approx(0.1)
     assert float(gaits.results[1]) < -0.9

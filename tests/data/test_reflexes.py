@@ -162,13 +162,13 @@ def test_a_mirrored_posture_gets_the_mirrored_answer(humanoid):
     seen = torch.randn(4, len(task.graph.nodes), task.features * task.history)
     mirror = task.reflection().nodes(seen.shape[-1])
     reflected = torch.from_numpy(mirror.sign).float() * seen.flatten(1)[:, torch.from_numpy(mirror.source)]
-    now = gaits._act(genes, torch.full((4,), 0.3), None, task.posture(seen))
-    later = gaits._act(genes, torch.full((4,), 0.8), None, task.posture(reflected.reshape(seen.shape)))
+    now = gaits.act(genes, torch.full((4,), 0.3), None, task.posture(seen))
+    later = gaits.act(genes, torch.full((4,), 0.8), None, task.posture(reflected.reshape(seen.shape)))
     order, sign = humanoid.action_mirror
     mirrored = torch.from_numpy(sign).float() * later[:, torch.from_numpy(order)]
     torch.testing.assert_close(now, mirrored, rtol=1e-3, atol=1e-3)
     with pytest.raises(ValueError, match="need the body's posture"):
-        gaits._act(genes, torch.zeros(4))
+        gaits.act(genes, torch.zeros(4))
 
 
 def test_in_the_steady_gait_speed_moves_nothing(humanoid):
@@ -177,13 +177,13 @@ def test_in_the_steady_gait_speed_moves_nothing(humanoid):
     genes = {name: getattr(gaits, name) for name in gaits.genes}
     posture = torch.zeros(4, 6)
     # Of a foot: twice the stride in a share of the period, in leg lengths and times of a pendulum.
-    hertz = genes["frequency"] * gaits._pendulum
+    hertz = genes["frequency"] * gaits._unit
     posture[:, 2] = 2 * genes["stride"] * hertz / genes["duty"] * math.sqrt(humanoid.leg_length / 9.81)
     calm = genes | {name: torch.zeros(4) for name in GENES}
     phase = torch.full((4,), 0.3)
-    torch.testing.assert_close(gaits._act(genes, phase, None, posture), gaits._act(calm, phase, None, posture))
+    torch.testing.assert_close(gaits.act(genes, phase, None, posture), gaits.act(calm, phase, None, posture))
     faster = posture + 0.1 * torch.eye(6)[2]
-    assert not torch.allclose(gaits._act(genes, phase, None, faster), gaits._act(calm, phase, None, faster), atol=1e-3)
+    assert not torch.allclose(gaits.act(genes, phase, None, faster), gaits.act(calm, phase, None, faster), atol=1e-3)
 
 
 def test_who_has_reflexes(humanoid):

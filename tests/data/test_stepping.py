@@ -58,7 +58,7 @@ def test_left_and_right_feet_step_half_a_period_apart(quadruped):
     assert other != first
     genes = {name: getattr(gaits, name).clone() for name in gaits.GENES}
     genes["sway"] = torch.zeros_like(genes["sway"])
-    now, later = (gaits._act(genes, torch.full((4,), cycles)) for cycles in (0.3, 0.8))
+    now, later = (gaits.act(genes, torch.full((4,), cycles)) for cycles in (0.3, 0.8))
     order, sign = quadruped.action_mirror
     mirrored = torch.from_numpy(sign).float() * later[:, torch.from_numpy(order)]
     torch.testing.assert_close(now, mirrored, rtol=1e-4, atol=1e-4)
@@ -205,10 +205,10 @@ def test_the_fittest_gait_can_be_played_without_noise(quadruped):
     assert int(gaits.fitness.argmax()) == 2
     played = gaits.fittest(5)
     genes = {name: getattr(gaits, f"best_{name}")[2:3] for name in gaits.GENES}
-    cycle = 0.02 * gaits._pendulum * float(genes["frequency"])
+    cycle = 0.02 * gaits._unit * float(genes["frequency"])
     for step in range(1, 5):
         action = played(TensorDict({}, [7]))["action"]
-        expected = gaits._act(genes, torch.tensor([step * cycle])).clamp(-1.0, 1.0)
+        expected = gaits.act(genes, torch.tensor([step * cycle])).clamp(-1.0, 1.0)
         torch.testing.assert_close(action, expected.expand(7, -1), rtol=1e-4, atol=1e-5)
 
 
@@ -235,7 +235,7 @@ def test_with_a_clock_all_gaits_keep_to_it(quadruped):
     for _ in range(40):
         gaits(begins, position)
         begins, position = torch.rand(8) < 0.05, position + torch.rand(8)
-    pendulum = gaits._pendulum
+    pendulum = gaits._unit
     torch.testing.assert_close(gaits.frequency * pendulum, torch.full((8,), 2.0))
     phases = (gaits.phase[:, gaits.pair_of] + gaits.lagging) % 1.0
     torch.testing.assert_close(phases, torch.from_numpy(pattern.phases).float().expand(8, -1))
@@ -249,7 +249,7 @@ def test_feet_are_lifted_while_the_clock_lets_them_swing(quadruped):
     for cycles in (0.1, 0.3, 0.6, 0.9):
         phases = (cycles + pattern.phases) % 1.0
         flat = genes | {"lift": torch.zeros_like(gaits.lift)}
-        lifted, walked = (gaits._act(g, torch.full((8,), cycles)) for g in (genes, flat))
+        lifted, walked = (gaits.act(g, torch.full((8,), cycles)) for g in (genes, flat))
         for foot, leg in enumerate(quadruped.legs):
             columns = [quadruped.actuated.index(joint.name) for joint in leg]
             moved = (lifted - walked)[:, columns].abs().max()

@@ -205,7 +205,7 @@ QUICK = ("", "train", "evaluate", "graph")
 
 
 def begin_from(arguments, place):
-    """Make the run of which a line's training takes the networks: of its robot and task, on a plane and without sight."""
+    """Make the run of which a training takes the networks: of its robot and task, on a plane and without sight."""
     asked = next((word.partition("=")[2] for word in arguments if word.startswith("init=")), None)
     if asked is None:
         return

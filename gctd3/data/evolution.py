@@ -1,0 +1,302 @@
+"""Gaits that evolve during the warm-up: tried for a while, judged by the training's reward, and mutated."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+
+class Evolution(torch.nn.Module, ABC):
+    """Generate gaits that evolve.
+
+    Each robot tries a gait for a while, remembers its best one, and most new gaits are mutations of what a few robots
+    remember. Some trials are of a remembered gait, which then counts by the mean, and in the last round all robots try
+    the fittest few. The fitness of a gait is the mean reward of the training while it is tried, less a penalty if the
+    robot falls: what feet that slide or a body that sags cost a policy, they cost a gait. With ``least_speed`` a slower
+    gait is less fit by :attr:`SLOW` for each m/s that its mean speed lacks.
+
+    Args:
+        num_robots: Number of robots.
+        groups: Values of a gene of which each group of feet or joints has its own.
+        trial: Time for which a gait is tried (s).
+        control_dt: Control period (s).
+        mutation_share: Share of new gaits that descend from others.
+        steps: Control steps of the warm-up; ``None`` for one without an end.
+        unit: Frequency of which a gait's ``frequency`` is a multiple (Hz).
+        fixed: Genes that do not evolve, and their values.
+        least_speed: Speed below which a gait is less fit (m/s); ``None`` for the reward alone.
+        limit: Control steps after which an episode ends though the robot has not fallen; ``None`` for no such limit.
+        genes: Lowest and highest value of genes beside ``GENES``, and whether each group has its own.
+    """
+
+    frequency: Tensor
+    fitness: Tensor
+    cycles: Tensor
+    start: Tensor
+    last: Tensor
+    lived: Tensor
+    age: Tensor
+    again: Tensor
+    taken: Tensor
+    final: Tensor
+    finalist: Tensor
+    walked: Tensor
+    place: Tensor
+
+    # Lowest and highest value of each gene, and whether each group has its own.
+    GENES: ClassVar[Mapping[str, tuple[float, float, bool]]] = {}
+    CYCLIC: tuple[str, ...] = ("phase",)
+    REMEMBERED: ClassVar[tuple[str, ...]] = ("fitness",)  # what robots know of the gait that they remember
+    MUTATION = 0.08  # standard deviation, of a gene's range
+    RIVALS = 8  # robots of whom the fittest one is the parent
+    FALL = 1.0  # by which a fall lowers the fitness: about what a brisk walk is worth (reward of a control step)
+    SLOW = 2.0  # by which each m/s below the least speed lowers the fitness: twice what reward=walk pays for it
+    AGAIN = 0.05  # share of trials in which a robot tries its remembered gait again; luck does not stay
+    LAST_ROUND = 0.3  # share of the warm-up, at its end, in which all robots try the fittest few gaits
+    FINALISTS = 8  # of these gaits; the fittest one by the mean over its robots wins
+    NOISE = 0.1  # standard deviation of what is added to the actions
+
+    def __init__(
+        self,
+        num_robots: int,
+        groups: int,
+        trial: float,
+        control_dt: float,
+        mutation_share: float,
+        steps: int | None,
+        unit: float = 1.0,
+        fixed: Mapping[str, Tensor] | None = None,
+        least_speed: float | None = None,
+        limit: int | None = None,
+        genes: Mapping[str, tuple[float, float, bool]] | None = None,
+    ) -> None:
+        super().__init__()
+        self.genes = {**(genes or {}), **self.GENES}
+        self._limit = math.inf if limit is None else limit
+        self.groups, self._dt, self._share, self._unit = groups, control_dt, mutation_share, unit
+        self._steps = max(round(trial / control_dt), 1)
+        self._last_round = math.inf if steps is None else (1.0 - self.LAST_ROUND) * steps
+        self._fixed = dict(fixed or {})
+        for name, values in self._draw(num_robots).items():
+            self.register_buffer(name, values)
+            self.register_buffer(f"best_{name}", values.clone())
+        self.register_buffer("fitness", torch.full((num_robots,), -math.inf))
+        self.register_buffer("cycles", torch.zeros(num_robots))
+        self.register_buffer("start", torch.zeros(num_robots))
+        self.register_buffer("last", torch.zeros(num_robots))
+        self.register_buffer("lived", torch.zeros(num_robots, dtype=torch.int64))
+        self.register_buffer("taken", torch.zeros((), dtype=torch.int64))
+        self.register_buffer("again", torch.zeros(num_robots, dtype=torch.bool))
+        self.register_buffer("final", torch.zeros((), dtype=torch.bool))
+        self.register_buffer("finalist", torch.full((num_robots,), -1, dtype=torch.int64))
+        self._least_speed = least_speed
+        if least_speed is not None:
+            self.register_buffer("walked", torch.zeros(num_robots))
+            self.register_buffer("place", torch.zeros(num_robots))
+        # No trial has begun.
+        self.register_buffer("age", torch.full((num_robots,), -1, dtype=torch.int64))
+
+    @abstractmethod
+    def act(
+        self,
+        genes: Mapping[str, Tensor],
+        cycles: Tensor,
+        command: Tensor | None = None,
+        posture: Tensor | None = None,
+    ) -> Tensor:
+        """Return the actions of gaits, which are not clipped.
+
+        Args:
+            genes: Genes by name, ``[B]`` or ``[B, groups]``.
+            cycles: Periods since the start of the episode, ``[B]``.
+            command: Commanded velocity, ``[B, 3]`` (m/s, m/s, rad/s); ``None`` for gaits that follow none.
+            posture: The body's posture, ``[B, 6]`` (:class:`.Posture`), which gaits with reflexes need.
+
+        Returns:
+            Actions, ``[B, A]``.
+        """
+
+    def _draw(self, count: int) -> dict[str, Tensor]:
+        drawn = {}
+        for name, (low, high, paired) in self.genes.items():
+            shape = (count, self.groups) if paired else (count,)
+            drawn[name] = low + (high - low) * torch.rand(shape)
+        return drawn | {name: value.expand(count, *value.shape).clone() for name, value in self._fixed.items()}
+
+    def _children(self, count: int) -> dict[str, Tensor]:
+        """Draw mutations of the fittest gaits among a few that robots remember, one for each robot."""
+        rivals = torch.randint(count, (count, self.RIVALS))
+        parent = rivals.gather(1, self.fitness[rivals].argmax(dim=1, keepdim=True))[:, 0]
+        descends = (torch.rand(count) < self._share) & self.fitness[parent].isfinite()
+        children = self._draw(count)
+        for name, (low, high, paired) in self.genes.items():
+            if name in self._fixed:
+                continue
+            values = getattr(self, f"best_{name}")[parent]
+            values = values + self.MUTATION * (high - low) * torch.randn_like(values)
+            values = values % 1.0 if name in self.CYCLIC else values.clamp(low, high)
+            children[name] = torch.where(descends[:, None] if paired else descends, values, children[name])
+        return children
+
+    def _end(self, ended: Tensor, begins: Tensor) -> None:
+        """Remember the gaits of the trials that have ended if they are fitter, and begin new ones."""
+        fell = begins & (self.lived < self._limit)
+        # A trial that the time limit cuts short says nothing.
+        tried = ended & (self.age > 0) & (fell | (self.age >= self._steps))
+        result = (self.last - self.start) / self._steps - self.FALL * fell
+        if self._least_speed is not None:
+            # A robot that falls has not walked for the rest of the trial.
+            speed = self.walked / (self._steps * self._dt)
+            result = result - self.SLOW * (self._least_speed - speed).clamp(min=0.0)
+        fitter = self._judge(tried, result)
+        children = self._children(len(ended))
+        share = 1.0 if self.final else self.AGAIN
+        repeats = (torch.rand(len(ended)) < share) & self.fitness.isfinite()
+        self.again.copy_(torch.where(ended, repeats, self.again))
+        for name, (_, _, paired) in self.genes.items():
+            best, now = getattr(self, f"best_{name}"), getattr(self, name)
+            best.copy_(torch.where(fitter[:, None] if paired else fitter, now, best))
+            next_one = torch.where(repeats[:, None] if paired else repeats, best, children[name])
+            now.copy_(torch.where(ended[:, None] if paired else ended, next_one, now))
+
+    def _judge(self, tried: Tensor, result: Tensor) -> Tensor:
+        """Take in the results of trials, and return which robots found a gait fitter than the one that they remember.
+
+        Args:
+            tried: Robots whose trial has ended, bool ``[robots]``.
+            result: Mean reward of their trial, less penalties, ``[robots]``.
+        """
+        # Of a gait that was tried again the mean counts, in which the last trials weigh most.
+        again = tried & self.again
+        self.fitness.copy_(torch.where(again, 0.5 * (self.fitness + result), self.fitness))
+        fitter = tried & ~again & (result > self.fitness)
+        self.fitness.copy_(torch.where(fitter, result, self.fitness))
+        return fitter
+
+    def _begin_last_round(self) -> None:
+        """Let the robots remember the fittest few gaits, in turn, and nothing else."""
+        self.final.fill_(True)
+        first = self.fitness.argsort(descending=True)[: self.FINALISTS]
+        first = first[self.fitness[first].isfinite()]
+        chosen = first[torch.arange(len(self.fitness)) % len(first)]
+        self.finalist.copy_(chosen)
+        for name in (*self.REMEMBERED, *(f"best_{name}" for name in self.genes)):
+            values = getattr(self, name)
+            values.copy_(values[chosen].clone())
+
+    def forward(
+        self,
+        is_init: Tensor,
+        returned: Tensor,
+        position: Tensor | None = None,
+        command: Tensor | None = None,
+        posture: Tensor | None = None,
+    ) -> Tensor:
+        """Return the actions ``[robots, A]`` of the next step.
+
+        Args:
+            is_init: Robots whose episode begins, bool ``[robots]``.
+            returned: Sum of the episode's rewards so far, ``[robots]``.
+            position: Distance walked in the episode, ``[robots]`` (m); needed only with a least speed.
+            command: Commanded velocity, ``[robots, 3]`` (m/s, m/s, rad/s); ``None`` for gaits that follow none.
+            posture: The body's posture, ``[robots, 6]`` (:class:`.Posture`), which gaits with reflexes need.
+        """
+        if self._least_speed is not None and position is not None:
+            # Of an episode that has begun anew the last step is not known.
+            self.walked += torch.where(is_init, 0.0, position - self.place)
+            self.place.copy_(position)
+        ended = is_init | (self.age >= self._steps) | (self.age < 0)
+        if not self.final and int(self.taken) >= self._last_round and self.tried:
+            self._begin_last_round()
+            # Trials that have not ended are given up.
+            ended = torch.ones_like(ended)
+            self.age.fill_(0)
+        if ended.any():
+            self.last.copy_(torch.where(is_init, self.last, returned))
+            self._end(ended, is_init)
+            self.start.copy_(torch.where(ended, returned, self.start))
+            self.age.copy_(torch.where(ended, 0, self.age))
+            if self._least_speed is not None:
+                self.walked.copy_(torch.where(ended, 0.0, self.walked))
+            self.cycles.copy_(torch.where(is_init, 0.0, self.cycles))
+            self.lived.copy_(torch.where(is_init, 0, self.lived))
+        self.last.copy_(returned)
+        self.lived += 1
+        self.age += 1
+        self.taken += 1
+        self.cycles += self._dt * self._unit * self.frequency
+        action = self.act({name: getattr(self, name) for name in self.genes}, self.cycles, command, posture)
+        return (action + self.NOISE * torch.randn_like(action)).clamp(-1.0, 1.0)
+
+    @property
+    def _best(self) -> int:
+        """Return a robot that remembers the fittest gait."""
+        if not self.final:
+            return int(self.fitness.argmax())
+        means = [self.fitness[self.finalist == one].mean() for one in self.finalist]
+        return int(torch.stack(means).argmax())
+
+    @property
+    def followers(self) -> Tensor:
+        """Return which robots try the fittest gait in the last round, bool ``[robots]``."""
+        return self.finalist == self.finalist[self._best]
+
+    def _fittest(self, count: int) -> dict[str, Tensor]:
+        """Return the genes of the fittest gait, ``count`` times."""
+        best = self._best
+        genes = {name: getattr(self, f"best_{name}")[best] for name in self.genes}
+        return {name: value.expand(count, *value.shape) for name, value in genes.items()}
+
+    @property
+    def tried(self) -> bool:
+        """Return whether a gait was tried to its end."""
+        return bool(self.fitness.isfinite().any())
+
+    def fittest_action(self, phase: Tensor, command: Tensor | None = None, posture: Tensor | None = None) -> Tensor:
+        """Return the actions of the fittest gait after states of the given phases; all gaits keep to one frequency.
+
+        Args:
+            phase: Phase of the gait, ``[*]`` (periods).
+            command: Commanded velocity, ``[*, 3]`` (m/s, m/s, rad/s); ``None`` for a gait that follows none.
+            posture: The body's posture, ``[*, 6]``, which a gait with reflexes needs.
+
+        Returns:
+            Actions, ``[*, A]``.
+        """
+        genes = self._fittest(len(phase))
+        cycles = phase + self._dt * self._unit * genes["frequency"]
+        return self.act(genes, cycles, command, posture).clamp(-1.0, 1.0)
+
+    def fittest(self, steps: int) -> OpenLoop | None:
+        """Return the fittest gait as a policy for episodes of up to ``steps`` control steps, if one was tried."""
+        if not self.tried:
+            return None
+        genes = self._fittest(steps)
+        cycles = torch.arange(1, steps + 1) * self._dt * self._unit * genes["frequency"]
+        return OpenLoop(self.act(genes, cycles).clamp(-1.0, 1.0))
+
+
+class OpenLoop(TensorDictModuleBase):
+    """Act in all robots by a list of actions, whatever they observe, from the start of an episode that all begin.
+
+    Args:
+        actions: Action of each control step, shape ``[steps, A]``; the last one is repeated.
+    """
+
+    def __init__(self, actions: Tensor) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = list[str](), ["action"]
+        self.actions, self.taken = actions, 0
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the next action of the list for every robot."""
+        action = self.actions[min(self.taken, len(self.actions) - 1)]
+        self.taken += 1
+        return tensordict.set("action", action.expand(*tensordict.batch_size, -1).clone())
