@@ -25,6 +25,8 @@ class ImitationSettings:
         updates: Updates of the actor towards the gait, before the first one of the critics; 0 for no imitation.
         learning_rate: Learning rate at the first of these updates, from which it falls linearly to 0, so that the last
             batches are not followed more than the others; ``None`` for the algorithm's, which stays.
+        retries: Times that the training begins again, with a new warm-up, when a policy that still is the gait misses
+            the conditions that would end the training: another gait is found sooner than learning mends one.
         critics_first: Updates of the critics that follow before the actor learns on.
         weight: Factor of the mean squared difference from the gait's actions in the actor's loss, in the unit of that
             loss (TD3+BC, arXiv:2106.06860, has 0.4 for data).
@@ -33,12 +35,13 @@ class ImitationSettings:
 
     updates: int = 0
     learning_rate: float | None = None
+    retries: int = 0
     critics_first: int = 1000
     weight: float = 12.0
     fade: int = 8000
 
     def __post_init__(self) -> None:
-        for name in ("updates", "critics_first"):
+        for name in ("updates", "retries", "critics_first"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"{name} must be at least 0, got {getattr(self, name)}.")
         if self.learning_rate is not None and not self.learning_rate > 0:

@@ -218,10 +218,22 @@ class Trainer:
         row = self._evaluate()
         self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
         line.evaluated(self._figures(row))
-        if settings.stop_when.all_reached(row):
+        if self._tries_another_gait:
+            self._begin_again(line, "the policy that begins as the warm-up's fittest gait misses the conditions.")
+        elif settings.stop_when.all_reached(row):
             now.promising = now.frames
         elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
-            self._begin_again(line)
+            self._begin_again(line, f"no evaluation in {now.frames - now.promising:,} met all conditions.")
+
+    @property
+    def _tries_another_gait(self) -> bool:
+        """Return whether a gait that the actor has not learnt on from failed, and another one is to be looked for."""
+        settings, now, imitation = self.settings, self.counters, self.algorithm.imitation
+        if imitation is None or not imitation.critics_alone(self.algorithm.updates) or self._spent:
+            return False
+        # A policy that meets the conditions only sometimes counts as none in a row.
+        failed = settings.stop_when.evaluations is not None and now.in_a_row == 0
+        return failed and now.restarts < settings.imitation.retries
 
     @property
     def _demonstrates(self) -> bool:
@@ -253,13 +265,10 @@ class Trainer:
         elif task.gait is not None and isinstance(gait, Evolution) and gait.tried:
             self.algorithm.imitation = Imitation(settings, ByClock(gait, cast(SimulatedTask, task)).action)
 
-    def _begin_again(self, line: ProgressLine) -> None:
+    def _begin_again(self, line: ProgressLine, why: str) -> None:
         """Begin again with new weights, an empty replay and a warm-up; keep the best policy and, inline, the robots."""
         now = self.counters
-        line.write(
-            f"After {now.frames:,} frames: no evaluation in {now.frames - now.promising:,} met all conditions. "
-            "It begins again with new weights; the best policy is kept."
-        )
+        line.write(f"After {now.frames:,} frames: {why} It begins again with new weights; the best policy is kept.")
         self.algorithm, self.explorer = self._new_learner()
         self._begin_from_a_run()
         self.collector.follow(self.explorer)

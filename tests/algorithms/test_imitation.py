@@ -81,6 +81,37 @@ def test_the_term_by_hand():
     assert float(imitation.add_to(torch.tensor(-3.0), Zero(), seen, 10)) == -3.0
 
 
+def test_batches_of_its_own_by_hand():
+    """Where the controller is known for some observations only, the term is on those, drawn anew each time."""
+
+    class Copy(nn.Module):
+        in_keys = ("nodes",)
+
+        def forward(self, seen):
+            return seen.set("action", seen["nodes"][:, 0])
+
+    def known():
+        return TensorDict({"nodes": torch.full((4, 3, 1), 0.5), "action": torch.full((4, 1), 0.2)}, [4])
+
+    seen = TensorDict({"nodes": torch.full((5, 3, 1), 9.0)}, [5])
+    imitation = Imitation(ImitationSettings(weight=12.0, fade=10), lambda batch: batch["action"], known)
+    assert float(imitation.add_to(torch.tensor(-3.0), Copy(), seen, 5)) == pytest.approx(-3.0 + 6.0 * 3.0 * 0.09)
+
+
+@pytest.mark.parametrize(("own", "rates"), [(0.4, [0.4, 0.3, 0.2, 0.1]), (None, [0.7] * 4)])
+def test_its_own_learning_rate_falls_to_zero(monkeypatch, own, rates):
+    used = []
+
+    class Noting(torch.optim.SGD):
+        def step(self):
+            used.append(self.param_groups[0]["lr"])
+
+    monkeypatch.setattr(torch.optim, "Adam", Noting)
+    algorithm = build("td3")
+    Imitation(ImitationSettings(updates=4, learning_rate=own), controller).begin(algorithm.actor, batch, 0.7)
+    assert used == pytest.approx(rates)
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", KINDS)
 def test_the_pull_keeps_the_actor_near_the_controller(name):
@@ -105,7 +136,9 @@ def test_the_pull_keeps_the_actor_near_the_controller(name):
     ("settings", "said"),
     [
         ({"updates": -1}, "updates must be at least 0"),
+        ({"retries": -1}, "retries must be at least 0"),
         ({"critics_first": -1}, "critics_first must be at least 0"),
+        ({"learning_rate": 0.0}, "learning_rate must be above 0, or null"),
         ({"weight": -1.0}, "weight must be at least 0"),
         ({"fade": 0}, "fade must be at least 1"),
     ],

@@ -87,7 +87,7 @@ def test_any_algorithm_takes_any_experiment(experiment, algorithm):
     build(composed(f"experiment={experiment}", f"algo={algorithm}"))
 
 
-RECIPE = {"batch_size": 128, "learning_starts": 40_000, "gradient_steps": 6, "learning_rate": 6e-4, "every": 10_000}
+RECIPE = {"batch_size": 128, "learning_starts": 76_800, "gradient_steps": 6, "learning_rate": 6e-4, "every": 10_000}
 BEFORE = {"batch_size": 256, "learning_starts": 10_000, "gradient_steps": 4, "learning_rate": 3e-4, "every": 20_000}
 
 
@@ -111,6 +111,13 @@ def test_the_biped_has_a_recipe_of_its_own(arguments):
 def test_comparisons_keep_the_recipe_that_their_results_were_made_with(experiment):
     assert recipe_of(f"experiment={experiment}") == BEFORE
     assert build(composed(f"experiment={experiment}")).exploration.mutation_share == 0.0
+
+
+def test_the_faster_walk_keeps_the_recipe_that_its_results_were_made_with():
+    assert recipe_of("experiment=table5_best") == {**RECIPE, "learning_starts": 40_000, "every": 5_000}
+    settings = build(composed("experiment=table5_best"))
+    assert (settings.exploration.warmup, settings.exploration.mutation_share) == ("rhythmic", 0.8)
+    assert settings.imitation.updates == 0 and settings.stop_when.restart_after == 140_000
 
 
 def test_the_papers_hyperparameters_are_those_of_its_table():

@@ -81,6 +81,25 @@ def test_stopped_while_it_imitates_a_gait(tmp_path, capsys):
 
 
 @pytest.mark.nightly
+@pytest.mark.parametrize("frames", [64, 128])
+def test_stopped_while_it_imitates_a_gait_without_a_clock(tmp_path, capsys, frames):
+    """What the policy learns the gait from is known again: stopped in the warm-up's last round, and after it."""
+    settings = [
+        "exploration.warmup=swinging",
+        "exploration.gait_time=0.04",
+        "exploration.least_speed=1.0",
+        "imitation.updates=3",
+        "imitation.learning_rate=0.001",
+        "imitation.critics_first=2",
+    ]
+    whole = train(tmp_path / "whole", *settings)
+    assert "The policy begins as the warm-up's fittest gait" in capsys.readouterr().out
+    part = stopped(tmp_path / "part", frames, *settings)
+    assert command("train", f"resume={part}") == 0
+    assert_same_run(whole, part)
+
+
+@pytest.mark.nightly
 @pytest.mark.parametrize("storage", ["frames", "stacked"])
 def test_stopped_after_it_had_begun_again(tmp_path, storage):
     never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=80", "exploration.learning_starts=40"]

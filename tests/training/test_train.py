@@ -188,6 +188,26 @@ def test_begins_again_when_no_evaluation_meets_all_conditions(tmp_path, capsys):
     assert any((first[key] != second[key]).any() for key in first)
 
 
+IMITATING = ["exploration.warmup=swinging", "exploration.gait_time=0.04", "imitation.updates=2", "imitation.retries=1"]
+
+
+def test_another_gait_is_looked_for_when_the_policy_that_is_one_fails(tmp_path, capsys):
+    """Once, as it is asked to; then it learns on."""
+    run = train(tmp_path / "run", *IMITATING, "stop_when.at_least.velocity_mean=100", "stop_when.restart_after=null")
+    assert [(row["frames"], row["restarts"]) for row in rows(run)] == [("80", "0"), ("160", "1"), ("240", "1")]
+    said = capsys.readouterr().out
+    assert said.count("fittest gait misses the conditions. It begins again") == 1
+    assert said.count("The policy begins as the warm-up's fittest gait") == 2
+
+
+@pytest.mark.parametrize("off", ["stop_when.evaluations=null", "imitation.updates=0", "imitation.critics_first=0"])
+def test_no_other_gait_is_looked_for(tmp_path, off):
+    """Where nothing ends the training, without imitation, and once the actor has learnt on."""
+    never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=null", "total_frames=160"]
+    run = train(tmp_path / "run", *IMITATING, *never, off)
+    assert [row["restarts"] for row in rows(run)] == ["0", "0"]
+
+
 def test_does_not_begin_again_while_evaluations_meet_all_conditions(tmp_path):
     run = train(tmp_path / "run", *EASY, "stop_when.evaluations=null", "stop_when.restart_after=80", "total_frames=240")
     assert [row["restarts"] for row in rows(run)] == ["0", "0", "0"]
