@@ -23,7 +23,8 @@ class CommandedStepping(Stepping):
     ``(x, y)`` from the middle of the feet moves at ``-(v_x - w y, v_y + w x)``. A foot that is down for the share
     ``d`` of a period ``1 / f`` goes by that velocity times ``d / f``, half of it to either side of its place. Genes are
     factors of the three velocities, for feet slide and legs yield, and the genes of :class:`.Stepping` but the length
-    of the steps. A robot that is to stand keeps its feet down.
+    of the steps. A command for which a leg would have to reach farther than there is followed more slowly. A robot that
+    is to stand keeps its feet down.
 
     Some commands are harder than others. So the fitness of a gait is what it earned beyond what is usual under its
     command: a least-squares fit of the rewards of the last trials to sizes of the command, see :meth:`_sizes`. At the
@@ -50,6 +51,7 @@ class CommandedStepping(Stepping):
     SIZES = 6  # numbers that tell how hard a command is
     # Speed of the fastest foot over the ground from which on feet are lifted fully: the root of a Froude number.
     SLOW = 0.05
+    REACH = Stepping.GENES["stride"][1]  # half of the longest way of a foot, leg lengths; farther, robots fall
     MEMORY = 4  # trials of each robot over which the usual reward of a command is fitted
     LAST_ROUND = 0.45  # share of the warm-up, at its end, in which gaits no longer evolve
     CORRECTED = 0.2  # share of the warm-up, at its end, in which commands are corrected
@@ -165,5 +167,8 @@ class CommandedStepping(Stepping):
         gains = torch.stack([genes[f"{axis}_gain"] for axis in ("forward", "side", "turn")], dim=-1)
         time = genes["duty"] / (self._unit * genes["frequency"])  # for which a foot is down (s)
         half = 0.5 * time[:, None, None] / self._length * self._ground(gains * self.correction(command))
+        # All feet alike, so that a body that is slower than commanded goes the same way.
+        farthest = half.norm(dim=-1).amax(dim=-1)[:, None, None]
+        half = half * (self.REACH / farthest.clamp(min=self.REACH))
         fastest = self._ground(command).norm(dim=-1).amax(dim=-1, keepdim=True)
         return half, (fastest / (self.SLOW * math.sqrt(GRAVITY * self._length))).clamp(max=1.0)

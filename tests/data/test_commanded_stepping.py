@@ -86,6 +86,14 @@ def test_a_step_is_as_long_as_the_ground_moves_while_a_foot_is_down(quadruped):
     assert float(gaits._steps_of(genes_of(gaits), torch.tensor([[slow, 0.0, 0.0]]))[1]) == pytest.approx(0.2)
 
 
+def test_no_step_is_longer_than_a_leg_can_reach(quadruped):
+    """Feet that would go too far go less far, all of them in proportion, and in the same directions."""
+    gaits = commanded(quadruped, duty=0.5)
+    slow, fast = (gaits._steps_of(genes_of(gaits), k * torch.tensor([[0.5, 0.1, 0.4]]))[0] for k in (0.1, 20.0))
+    assert float(fast.norm(dim=-1).max()) == pytest.approx(0.45)
+    torch.testing.assert_close(fast / fast.norm(dim=-1).max(), slow / slow.norm(dim=-1).max())
+
+
 def test_a_hard_command_does_not_make_a_gait_less_fit(quadruped):
     """Rewards that only depend on the command leave all gaits alike; a gait that earns more beyond that is fitter."""
     robots = 64
