@@ -3,7 +3,6 @@ as stacks of critics, under TorchRL's own loss, and in a training."""
 
 import copy
 import itertools
-import warnings
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -19,6 +18,7 @@ from td3_losses import batch, build, move_targets, run
 from tensordict import TensorDict
 from torch import nn
 from torch.nn import functional
+from torch_geometric.nn import ChebConv
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
 
 from gctd3 import KinematicGraph, load_policy, make_actor, make_critic
@@ -27,10 +27,6 @@ from gctd3.errors import ConfigError
 from gctd3.nn import Actor, ChebyshevConv, Critic, GraphEncoder, Network
 from gctd3.objectives import TD3Loss
 from gctd3.tasks.reflection import Reflection
-
-with warnings.catch_warnings():  # PyG scripts a class while it is imported
-    warnings.filterwarnings("ignore", message=".*torch.jit.*", category=DeprecationWarning)
-    from torch_geometric.nn import ChebConv
 
 CHOICES = sorted({file.stem for file in (Path(str(files("gctd3.conf"))) / "network").glob("*.yaml")} - {"gcn", "mlp"})
 

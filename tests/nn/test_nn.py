@@ -2,13 +2,13 @@
 
 import copy
 import itertools
-import warnings
 
 import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
+from torch_geometric.nn import DenseGCNConv, GCNConv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import SoftUpdate
 
@@ -17,10 +17,6 @@ from gctd3.errors import ConfigError
 from gctd3.nn import Actor, Critic, FlatEncoder, GraphConv, GraphEncoder, Network
 from gctd3.nn.layers import LayerNorm, Linear
 from gctd3.objectives import TD3Loss
-
-with warnings.catch_warnings():  # PyG scripts a class while it is imported
-    warnings.filterwarnings("ignore", message=".*torch.jit.*", category=DeprecationWarning)
-    from torch_geometric.nn import DenseGCNConv, GCNConv
 
 NETWORKS = {
     "gcn": Network(norm="none"),

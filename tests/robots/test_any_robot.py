@@ -1,7 +1,6 @@
 """The graph of other people's robots: expected nodes read from their files, and properties of every robot's graph."""
 
 import sys
-import warnings
 from pathlib import Path
 
 import gymnasium
@@ -11,15 +10,12 @@ import numpy as np
 import pytest
 import torch
 from suite_robots import suite, why_not
+from torch_geometric.nn import GCNConv
+from torch_geometric.utils import is_undirected, to_dense_adj
 
 from gctd3.errors import RobotError
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
-
-with warnings.catch_warnings():  # PyG scripts a class while it is imported
-    warnings.filterwarnings("ignore", message=".*torch.jit.*", category=DeprecationWarning)
-    from torch_geometric.nn import GCNConv
-    from torch_geometric.utils import is_undirected, to_dense_adj
 
 GYM = Path(gymnasium.__file__).parent / "envs/mujoco/assets"
 TOES = ("toe_front_left", "toe_front_right", "toe_back_right", "toe_back_left")
