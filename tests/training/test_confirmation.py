@@ -45,7 +45,6 @@ def test_a_confirmed_policy_ends_the_training_at_once(tmp_path, capsys, monkeypa
         seen.append((seed, len(result.episodes), [episode.height[0] for episode in result.episodes]))
         return result
 
-    monkeypatch.setattr(trainer, "evaluate", watched)
     monkeypatch.setattr(confirmation, "evaluate", watched)
     run = train(tmp_path / "run", *EASY, "stop_when.confirm=3")
     assert [(row["frames"], row["confirmed"]) for row in rows(run)] == [("80", "1.0")]
