@@ -95,7 +95,7 @@ def missed(row: Row, rule: StopWhen) -> list[str]:
         one = StopWhen(at_least={name: bound}) if sign == "<" else StopWhen(at_most={name: bound})
         if not one.all_reached(row):
             found.append(f"{name} {row[name]:.2f} {sign} {bound:g}" if name in row else f"{name} undefined")
-    return found
+    return list(dict.fromkeys(found))  # an undefined metric with two bounds is named once
 
 
 def until(run: Run, criterion: Criterion) -> Run:
