@@ -51,6 +51,11 @@ def commit() -> str:
     return subprocess.run(describe, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
 
 
+def machine() -> str:
+    """The machine, in words."""
+    return f"{os.cpu_count()} CPU cores, {platform.machine()}, Python {platform.python_version()}"
+
+
 def report(name: str, figures: dict[str, object], out: str) -> None:
     """Print the provenance, and write everything as JSON if ``out`` names a file."""
     # Where files went on this machine is nobody's business.
@@ -58,7 +63,7 @@ def report(name: str, figures: dict[str, object], out: str) -> None:
     full = {
         "command": " ".join(["python", f"benchmarks/{name}.py", *arguments]),
         "commit": commit(),
-        "machine": f"{os.cpu_count()} CPU cores, {platform.machine()}, Python {platform.python_version()}",
+        "machine": machine(),
         **figures,
     }
     print(f"\n{full['command']}  at {full['commit']} on {full['machine']}")

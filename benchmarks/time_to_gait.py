@@ -13,7 +13,6 @@ as longer than the cap in every median. Nothing else should run on the machine.
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import signal
@@ -21,13 +20,15 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
 from common import options, report
-from gait_table import RETURN, Run, outcome, passes, read_progress, summary, table, words
-from peers import PACKAGES, RECIPE, versions
+from gait_table import RETURN, Row, Run, outcome, passes, read_progress, summary, table, words
+from peers import EVALUATING, PACKAGES, RECIPE, evaluating, installed, versions
 
 from gctd3.training.run_log import PROGRESS
 
@@ -40,12 +41,21 @@ def command(contender: str, seed: int, directory: Path, cap: float, every: int, 
     """Return the training's command line."""
     if contender in OURS:
         evaluation = [f"evaluation.every={every}", f"evaluation.episodes={EPISODES}"]
-        cores = [f"threads={threads}", f"env.threads={threads}"]
-        arguments = ["-m", "gctd3.train", f"algo={contender}", f"seed={seed}", *evaluation, *cores]
-        return [sys.executable, *arguments, f"hydra.run.dir={directory}"]
+        return our_command(directory, threads, f"algo={contender}", f"seed={seed}", *evaluation)
     given = {"peer": contender, "run": directory, "seed": seed, "every": every, "episodes": EPISODES}
+    return peer_command(**given, minutes=cap, threads=threads)
+
+
+def our_command(directory: Path, threads: int, *arguments: str) -> list[str]:
+    """Return the command line of a training of ours."""
+    cores = [f"threads={threads}", f"env.threads={threads}"]
+    return [sys.executable, "-m", "gctd3.train", *arguments, *cores, f"hydra.run.dir={directory}"]
+
+
+def peer_command(**given: object) -> list[str]:
+    """Return the command line of a peer's training."""
     peers = Path(__file__).with_name("peers.py")
-    return [sys.executable, str(peers), *(f"{k}={v}" for k, v in {**given, "minutes": cap, "threads": threads}.items())]
+    return [sys.executable, str(peers), *(f"{key}={value}" for key, value in given.items())]
 
 
 def environment(threads: int) -> dict[str, str]:
@@ -57,8 +67,28 @@ def environment(threads: int) -> dict[str, str]:
     return {**os.environ, **limits, "JAX_PLATFORMS": "cpu", **({"XLA_FLAGS": flags.strip()} if flags else {})}
 
 
-def race(run: Run, line: list[str], directory: Path, cap: float, threads: int, stop: threading.Event) -> None:
-    """Start a training, watch it until it walks or its time is up, and fill in ``run``."""
+def race(
+    run: Run,
+    line: list[str],
+    directory: Path,
+    cap: float,
+    threads: int,
+    stop: threading.Event,
+    walks: Callable[[Sequence[Row]], bool] = lambda curve: passes(curve[-1]),
+    whole: bool = False,
+) -> None:
+    """Start a training, watch it until it walks or its time is up, and fill in ``run``.
+
+    Args:
+        run: The run.
+        line: The training's command line.
+        directory: The run's directory, which is made.
+        cap: Minutes, not counting evaluations that :data:`EVALUATING` takes out.
+        threads: Of the training.
+        stop: Ends it.
+        walks: Whether evaluations up to now, one at least, show a walk.
+        whole: Whether a training that walks is watched until it ends by itself.
+    """
     directory.mkdir(parents=True)
     name = f"{run.contender} seed {run.seed}"
     with (directory / "log.txt").open("w") as log:
@@ -70,18 +100,22 @@ def race(run: Run, line: list[str], directory: Path, cap: float, threads: int, s
             while not stop.is_set():
                 ended = process.poll() is not None
                 rows = read_progress(directory / PROGRESS)
-                run.minutes = (time.monotonic() - began) / 60
+                now = time.monotonic() - began
                 for row in rows[len(run.curve) :]:
+                    run.minutes = (now - row.get(EVALUATING, 0.0)) / 60
                     run.curve.append({**row, "minutes": run.minutes})
                     print(f"[{run.minutes:5.1f} min] {name}: {words(row)}", flush=True)
-                    if passes(row) and run.minutes <= cap:
+                    if not whole and walks(run.curve) and run.minutes <= cap:
                         run.outcome = "reached"
                         return
+                last = run.curve[-1] if run.curve else {}
+                run.minutes = (now - last.get(EVALUATING, 0.0) - evaluating(directory)) / 60
                 if run.minutes >= cap:
                     return
                 if ended:
                     run.exit_code = process.returncode
-                    run.outcome = "failed" if process.returncode else "ended"
+                    reached = whole and bool(run.curve) and walks(run.curve)
+                    run.outcome = "failed" if process.returncode else "reached" if reached else "ended"
                     return
                 stop.wait(POLL)
             run.outcome = "interrupted"
@@ -120,14 +154,26 @@ def plan(given: dict[str, str]) -> tuple[list[Run], list[str]]:
     return sorted(runs, key=lambda run: turns[id(run)]), missing
 
 
-def installed(peer: str) -> bool:
-    """Whether a peer's package is there."""
-    return importlib.util.find_spec(PACKAGES[peer]) is not None
-
-
 def interrupted(*_: object) -> None:
     """Take a polite kill, or the end of the terminal, as a Ctrl-C."""
     raise KeyboardInterrupt
+
+
+@contextmanager
+def until_interrupted(stop: threading.Event) -> Iterator[None]:
+    """Set ``stop`` at a Ctrl-C, a polite kill or an error, and go on after the first two."""
+    before = {polite: signal.signal(polite, interrupted) for polite in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    except KeyboardInterrupt:
+        print("\nInterrupted; what has ended is reported.", flush=True)
+        stop.set()
+    except BaseException:
+        stop.set()
+        raise
+    finally:
+        for polite, handler in before.items():
+            signal.signal(polite, handler)
 
 
 def main() -> None:
@@ -150,8 +196,6 @@ def main() -> None:
     if taken:
         raise SystemExit(f"{given['runs']} holds {', '.join(taken)} already: choose another runs=")
     print(f"{len(runs)} runs of at most {cap:g} min, {given['jobs']} at a time, {threads} threads each", flush=True)
-    for polite in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(polite, interrupted)
     stop, began = threading.Event(), []
 
     def start(run: Run) -> None:
@@ -160,15 +204,8 @@ def main() -> None:
             line = command(run.contender, run.seed, where[id(run)], cap, int(given["every"]), threads)
             race(run, line, where[id(run)], cap, threads, stop)
 
-    with ThreadPoolExecutor(int(given["jobs"])) as pool:
-        try:
-            list(pool.map(start, runs))
-        except KeyboardInterrupt:
-            print("\nInterrupted; what has ended is reported.", flush=True)
-            stop.set()
-        except BaseException:
-            stop.set()
-            raise
+    with ThreadPoolExecutor(int(given["jobs"])) as pool, until_interrupted(stop):
+        list(pool.map(start, runs))
     over = [run for run in runs if run in began and run.outcome != "interrupted"]
     if over:
         print(f"\n{table(over, cap)}")

@@ -1,15 +1,56 @@
-"""Confirm that a policy meets the conditions that end a training, from starts that no evaluation has used."""
+"""Measure what conditions on a policy name, and confirm that it meets them from starts no evaluation has used."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import cast
+
 import torch
 from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import EnvBase
 
 from gctd3.envs.factory import build_env
 from gctd3.evaluation.rollout import evaluate
+from gctd3.evaluation.summary import summarize
+from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.tasks.task import Task
 from gctd3.training.announcements import figures
 from gctd3.training.settings import TrainSettings
+from gctd3.training.stop_when import RECORDED
+
+
+def evaluation_env(settings: TrainSettings, task: Task, episodes: int, seed: int, threads: int | None) -> EnvBase:
+    """Build the robots of an evaluation, one for each episode, under the reward of the evaluations."""
+    evaluated = settings.env.for_evaluation(episodes, threads)
+    if settings.stop_when.of_motion:
+        # The one backend that records motions.
+        evaluated = replace(evaluated, backend="batched")
+    return build_env(task.evaluated(settings.evaluation.reward), evaluated, seed)
+
+
+def measure(
+    policy: TensorDictModuleBase, env: EnvBase, task: Task, settings: TrainSettings, seed: int
+) -> dict[str, float]:
+    """Evaluate a policy once on every robot of ``env``.
+
+    Args:
+        policy: The policy, on the CPU.
+        env: Robots of :func:`evaluation_env`.
+        task: Their task.
+        settings: Settings of the training; the motion is recorded if its conditions ask for it.
+        seed: Seed of the starts.
+
+    Returns:
+        The metrics that conditions name; those of gaits only if an episode got far enough.
+    """
+    recorded = settings.stop_when.of_motion
+    result = evaluate(policy, env, task, seed, record=recorded)
+    motion = summarize(result.episodes, cast(SimulatedTask, task).robot, task.control_dt) if recorded else {}
+    return {
+        **result.summary(),
+        **{key: value for key, value in result.gait().items() if key != "episodes"},
+        **{key: value for key in RECORDED if (value := motion.get(key)) is not None},
+    }
 
 
 def confirm(policy: TensorDictModuleBase, settings: TrainSettings, task: Task) -> dict[str, float]:
@@ -26,15 +67,13 @@ def confirm(policy: TensorDictModuleBase, settings: TrainSettings, task: Task) -
         The metrics that conditions name; those of gaits only if an episode got far enough.
     """
     seed = settings.evaluation.seed + 1
-    episodes = settings.env.for_evaluation(settings.stop_when.confirm, settings.env.threads)
     # To build and seed an environment draws from the generator that the training goes on with.
     with torch.random.fork_rng(devices=[]):
-        env = build_env(task.evaluated(settings.evaluation.reward), episodes, seed)
+        env = evaluation_env(settings, task, settings.stop_when.confirm, seed, settings.env.threads)
         try:
-            result = evaluate(policy, env, task, seed)
+            return measure(policy, env, task, settings, seed)
         finally:
             env.close(raise_if_closed=False)
-    return {**result.summary(), **{key: value for key, value in result.gait().items() if key != "episodes"}}
 
 
 def described(metrics: dict[str, float], episodes: int, sure: bool) -> str:

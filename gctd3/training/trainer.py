@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
@@ -33,17 +33,16 @@ from gctd3.data.finite import check_collected, check_losses
 from gctd3.data.gait_policy import ByClock, fittest_gait
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.data.replay import Replay
-from gctd3.envs.factory import EnvRecipe, build_env
+from gctd3.envs.factory import EnvRecipe
 from gctd3.errors import NumericalError, RunError, TrainingError, WorkerError
 from gctd3.evaluation.rollout import evaluate
-from gctd3.evaluation.summary import summarize
 from gctd3.files import new_directory, quoted, save_tree, write_manifest, write_text
 from gctd3.setup.setup import Setup
 from gctd3.signals import StopRequest
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.training.announcements import figures
 from gctd3.training.checkpoint import STATE, Checkpoints, checked, fit
-from gctd3.training.confirmation import confirm, described
+from gctd3.training.confirmation import confirm, described, evaluation_env, measure
 from gctd3.training.device import pick_device
 from gctd3.training.diagnosis import why_given_up
 from gctd3.training.give_up import Watch
@@ -52,7 +51,6 @@ from gctd3.training.progress import Counters, ProgressLine
 from gctd3.training.rng_state import load_random_state, random_state, seed_all
 from gctd3.training.run_log import RunLog
 from gctd3.training.settings import TrainSettings
-from gctd3.training.stop_when import RECORDED
 from gctd3.viz.film import FPS, clip
 
 MOST_TIME = 0.03  # share of the wall-clock that checkpoints may take
@@ -98,11 +96,8 @@ class Trainer:
         self.demonstration = Demonstration(settings.replay.batch_size, self.replay.mirror, self.device)
         recipe = EnvRecipe(task, env)
         self.collector = build_collector(settings.collector, recipe, settings.batch_steps, settings.seed, self.explorer)
-        evaluated = env.for_evaluation(settings.evaluation.episodes, env.threads)
-        if settings.stop_when.of_motion:
-            # The one backend that records motions.
-            evaluated = replace(evaluated, backend="batched")
-        self.evaluation_env = build_env(task.evaluated(settings.evaluation.reward), evaluated, settings.evaluation.seed)
+        evaluated = settings.evaluation.episodes, settings.evaluation.seed
+        self.evaluation_env = evaluation_env(settings, task, *evaluated, env.threads)
         manifest = {"graph": {"nodes": setup.graph.nodes, "edges": setup.graph.edges}, **(about or {})}
         self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, manifest)
         self.log = RunLog(directory, settings.logger)
@@ -282,9 +277,6 @@ class Trainer:
         if not (self.directory / WARMUP_GAIT).exists():
             self._evaluate_gait()
         policy = self.algorithm.policy()
-        task, recorded = self.setup.task, settings.stop_when.of_motion
-        result = evaluate(policy, self.evaluation_env, task, settings.evaluation.seed, record=recorded)
-        motion = summarize(result.episodes, cast(SimulatedTask, task).robot, task.control_dt) if recorded else {}
         metrics: dict[str, float] = {
             "frames": now.frames,
             "updates": now.updates,
@@ -292,9 +284,7 @@ class Trainer:
             "diverged": now.diverged,
             "train_episodes": now.episodes,
             "restarts": now.restarts,
-            **result.summary(),
-            **{key: value for key, value in result.gait().items() if key != "episodes"},
-            **{key: value for key in RECORDED if (value := motion.get(key)) is not None},
+            **measure(policy, self.evaluation_env, self.setup.task, settings, settings.evaluation.seed),
         }
         sure = self._confirmed(policy, metrics)
         if sure is not None:

@@ -20,6 +20,7 @@ BENCHED = [
     "learner_throughput",
     "library_throughput",
     "peers",
+    "robot_peers",
     "scale_out",
     "scaling",
     "ship_policy",
@@ -229,7 +230,7 @@ def test_an_interrupt_ends_the_trainings_and_reports_what_was_over(race, tmp_pat
 
 
 def test_peers_are_evaluated_for_the_default_trainings_rewards():
-    settings = importlib.import_module("peers").shared_settings(every=123, episodes=5)
+    settings = importlib.import_module("peers").shared_settings("evaluation.every=123", "evaluation.episodes=5")
     assert settings.reward.terms["living"].weight == 0.5
     assert (settings.evaluation.every, settings.evaluation.episodes) == (123, 5)
     assert settings.evaluation.reward.terms["living"].weight == -0.1
@@ -238,7 +239,9 @@ def test_peers_are_evaluated_for_the_default_trainings_rewards():
 @pytest.mark.nightly
 def test_stock_torchrl_trains_and_is_evaluated(tmp_path):
     peers = importlib.import_module("peers")
-    evaluator = peers.Evaluator(peers.shared_settings(every=100, episodes=2), tmp_path, minutes=1.0, threads=1)
+    evaluator = peers.Evaluator(
+        peers.shared_settings("evaluation.every=100", "evaluation.episodes=2"), tmp_path, minutes=1.0, threads=1
+    )
     recipe = peers.StockRecipe(init_random_frames=100, frames_per_batch=50, size=300, batch_size=16, prefetch=0)
     peers.stock_torchrl(evaluator, 0, recipe, total_frames=200)
     rows = importlib.import_module("gait_table").read_progress(tmp_path / "progress.csv")
@@ -252,8 +255,10 @@ def test_stock_torchrl_trains_and_is_evaluated(tmp_path):
 def test_stable_baselines3_trains_and_is_evaluated(tmp_path):
     pytest.importorskip("stable_baselines3")
     peers = importlib.import_module("peers")
-    evaluator = peers.Evaluator(peers.shared_settings(every=110, episodes=2), tmp_path, minutes=0.05, threads=1)
-    peers.stable_baselines("stable_baselines3", evaluator, 0)
+    evaluator = peers.Evaluator(
+        peers.shared_settings("evaluation.every=110", "evaluation.episodes=2"), tmp_path, minutes=0.05, threads=1
+    )
+    peers.stable_baselines("sb3", "td3", evaluator, 0)
     row = importlib.import_module("gait_table").read_progress(tmp_path / "progress.csv")[0]
     # The first 100 steps are random.
     assert (row["frames"], row["updates"]) == (110, 9)

@@ -1,6 +1,8 @@
 """A policy that would end the training has to meet the conditions from other starts too, and is then kept."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,9 @@ from running import Recorded, rows, train
 from gctd3.comparison.runs import find_runs
 from gctd3.errors import ConfigError
 from gctd3.evaluation import rollout
+from gctd3.runs.evaluate import measure_run
+from gctd3.runs.load import load_run
+from gctd3.runs.settings import EvaluateSettings
 from gctd3.training import confirmation, trainer
 from gctd3.training.checkpoint import Checkpoints
 from gctd3.training.stop_when import StopWhen
@@ -45,7 +50,6 @@ def test_a_confirmed_policy_ends_the_training_at_once(tmp_path, capsys, monkeypa
         seen.append((seed, len(result.episodes), [episode.height[0] for episode in result.episodes]))
         return result
 
-    monkeypatch.setattr(trainer, "evaluate", watched)
     monkeypatch.setattr(confirmation, "evaluate", watched)
     run = train(tmp_path / "run", *EASY, "stop_when.confirm=3")
     assert [(row["frames"], row["confirmed"]) for row in rows(run)] == [("80", "1.0")]
@@ -70,6 +74,21 @@ def test_a_policy_that_is_not_confirmed_trains_on_and_a_confirmed_one_is_the_bes
     assert Checkpoints(run).best().name == "best-000000000160" and Recorded.last.finished
     said = capsys.readouterr().out
     assert said.index("misses the conditions that it met") < said.index("meets the conditions too")
+
+
+def test_conditions_on_a_motion_are_measured_from_other_starts_too():
+    run = load_run(str(Path(__file__).parents[2] / "models" / "biped" / "policy"))
+    rule = StopWhen(at_least={"success_rate": 1.0, "periodic_fraction": 1.0}, at_most={"slip_speed": 0.3}, confirm=2)
+    settings = replace(run.settings, stop_when=rule)
+    seen = confirmation.confirm(run.policy(), settings, run.setup.task)
+    assert rule.all_reached(seen), seen
+    # The same as the command's evaluation of so many episodes from these starts.
+    given = {"run": str(run.directory), "episodes": 2, "seed": settings.evaluation.seed + 1, "threads": 1}
+    report = measure_run(EvaluateSettings(**given)).report
+    for name in ("return_mean", "distance_mean"):
+        assert seen[name] == pytest.approx(report[name])
+    for name in ("periodic_fraction", "slip_speed", "height_from_home", "torque_saturation"):
+        assert seen[name] == pytest.approx(report["gait"][name])
 
 
 @pytest.mark.parametrize(
