@@ -246,12 +246,13 @@ class Trainer:
 
     @property
     def _demonstrates(self) -> bool:
-        """Return whether robots now follow the fittest gait, which a policy without a clock learns from."""
-        return self._shown_gait is not None and self._shown_gait.shows
+        """Return whether robots follow the fittest gait from the next step on, for a policy without a clock."""
+        gait = self._shown_gait
+        return gait is not None and (gait.shows or gait.decides)
 
     @property
     def _about_to_demonstrate(self) -> bool:
-        """Return whether that begins with the next step: it is to show how an episode begins, too."""
+        """Return whether that is about to begin: it is to show how an episode begins, too."""
         return self._shown_gait is not None and self._shown_gait.decides
 
     def _imitate(self) -> None:
