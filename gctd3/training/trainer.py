@@ -196,7 +196,7 @@ class Trainer:
         check_collected(collected)
         if demonstrates:
             self.demonstration.add(collected)
-        elif self._about_to_demonstrate and isinstance(self.collector, InlineCollector):
+        if (gait := self._shown_gait) is not None and gait.anew and isinstance(self.collector, InlineCollector):
             self.collector.begin_anew(collected)
         self.replay.extend(collected)
         metrics: dict[str, Tensor] = {}
@@ -249,11 +249,6 @@ class Trainer:
         """Return whether robots follow the fittest gait from the next step on, for a policy without a clock."""
         gait = self._shown_gait
         return gait is not None and (gait.shows or gait.decides)
-
-    @property
-    def _about_to_demonstrate(self) -> bool:
-        """Return whether that is about to begin: it is to show how an episode begins, too."""
-        return self._shown_gait is not None and self._shown_gait.decides
 
     def _imitate(self) -> None:
         """Let the actor begin as the fittest gait of the warm-up, if it is asked to."""
