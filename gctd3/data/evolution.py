@@ -61,6 +61,8 @@ class Evolution(torch.nn.Module, ABC):
     AGAIN = 0.05  # share of trials in which a robot tries its remembered gait again; luck does not stay
     LAST_ROUND = 0.3  # share of the warm-up, at its end, in which all robots try the fittest few gaits
     FINALISTS = 8  # of these gaits; the fittest one by the mean over its robots wins
+    SHOWN = 0.0  # share of the warm-up, at its end, in which all robots try the winner, for a policy to learn it from
+    STARTS = 3  # episodes of each robot in that time: to start from standing is the hardest part
     NOISE = 0.1  # standard deviation of what is added to the actions
 
     def __init__(
@@ -83,6 +85,8 @@ class Evolution(torch.nn.Module, ABC):
         self.groups, self._dt, self._share, self._unit = groups, control_dt, mutation_share, unit
         self._steps = max(round(trial / control_dt), 1)
         self._last_round = math.inf if steps is None else (1.0 - self.LAST_ROUND) * steps
+        self._shown = math.inf if steps is None or not self.SHOWN else round((1.0 - self.SHOWN) * steps)
+        self._showing = max(1, round(self.SHOWN * (steps or 0) / self.STARTS))
         self._fixed = dict(fixed or {})
         for name, values in self._draw(num_robots).items():
             self.register_buffer(name, values)
@@ -191,6 +195,15 @@ class Evolution(torch.nn.Module, ABC):
             values = getattr(self, name)
             values.copy_(values[chosen].clone())
 
+    def _let_all_follow(self) -> None:
+        """Let all robots remember the fittest gait, and nothing else."""
+        best = self._best
+        self.fitness.fill_(float(self.fitness[self.followers].mean()))
+        self.finalist.fill_(int(self.finalist[best]))
+        for name in self.genes:
+            values = getattr(self, f"best_{name}")
+            values.copy_(values[best].expand_as(values).clone())
+
     def forward(
         self,
         is_init: Tensor,
@@ -213,8 +226,12 @@ class Evolution(torch.nn.Module, ABC):
             self.walked += torch.where(is_init, 0.0, position - self.place)
             self.place.copy_(position)
         ended = is_init | (self.age >= self._steps) | (self.age < 0)
-        if not self.final and int(self.taken) >= self._last_round and self.tried:
-            self._begin_last_round()
+        begins, decides = self.begins, self.decides
+        if begins or decides:
+            if begins:
+                self._begin_last_round()
+            else:
+                self._let_all_follow()
             # Trials that have not ended are given up.
             ended = torch.ones_like(ended)
             self.age.fill_(0)
@@ -242,6 +259,29 @@ class Evolution(torch.nn.Module, ABC):
             return int(self.fitness.argmax())
         means = [self.fitness[self.finalist == one].mean() for one in self.finalist]
         return int(torch.stack(means).argmax())
+
+    @property
+    def begins(self) -> bool:
+        """Return whether in the next step the last round begins."""
+        return not self.final and int(self.taken) >= self._last_round and self.tried
+
+    @property
+    def decides(self) -> bool:
+        """Return whether in the next step all robots begin to try the winner."""
+        return bool(self.final) and int(self.taken) >= self._shown and not bool(self.followers.all())
+
+    @property
+    def anew(self) -> bool:
+        """Return whether robots had best begin anew before the next step: for the last gaits starts count, too."""
+        if self.begins or self.decides:
+            return True
+        since = int(self.taken) - self._shown
+        return bool(self.SHOWN and self.shows and since > 0 and since % self._showing == 0)
+
+    @property
+    def shows(self) -> bool:
+        """Return whether robots that try the fittest gait are known, and go on to do so until the warm-up ends."""
+        return bool(self.final) and (not self.SHOWN or bool(self.followers.all()))
 
     @property
     def followers(self) -> Tensor:

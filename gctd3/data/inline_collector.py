@@ -53,6 +53,16 @@ class InlineCollector:
         """Continue with another policy, from the robots' current states."""
         self.policy = policy
 
+    def begin_anew(self, collected: TensorDictBase) -> None:
+        """Let all robots begin a new episode; the last steps of those that were going on count as truncated.
+
+        Args:
+            collected: The batch of the last steps, batch size ``[N, T]``, which changes.
+        """
+        for key in ("truncated", "done"):
+            collected["next", key][:, -1] = True
+        self._state = self.env.reset()
+
     def close(self) -> None:
         """Close the environment."""
         self.env.close(raise_if_closed=False)

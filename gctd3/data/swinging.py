@@ -44,6 +44,7 @@ class Swinging(Evolution):
     # Larger, and among fewer rivals, than that of steps: with 0.07 a quarter of the seeds settle on gaits that fall.
     MUTATION = 0.1
     RIVALS = 4
+    SHOWN = 0.15
 
     def __init__(
         self,

@@ -31,6 +31,7 @@ from gctd3.data.evolution import Evolution
 from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
 from gctd3.data.gait_policy import ByClock, fittest_gait
+from gctd3.data.inline_collector import InlineCollector
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.data.replay import Replay
 from gctd3.envs.factory import EnvRecipe
@@ -189,9 +190,11 @@ class Trainer:
         demonstrates = self._demonstrates
         seen["collected"] = collected = self.collector.collect()
         check_collected(collected)
-        self.replay.extend(collected)
         if demonstrates:
             self.demonstration.add(collected)
+        if (gait := self._shown_gait) is not None and gait.anew and isinstance(self.collector, InlineCollector):
+            self.collector.begin_anew(collected)
+        self.replay.extend(collected)
         metrics: dict[str, Tensor] = {}
         if not self.explorer.warming_up and self.replay.ready:
             if not self.algorithm.updates:
@@ -231,11 +234,17 @@ class Trainer:
         return failed and now.restarts < settings.imitation.retries
 
     @property
-    def _demonstrates(self) -> bool:
-        """Return whether robots now follow the fittest gaits, which a policy without a clock learns from."""
+    def _shown_gait(self) -> Evolution | None:
+        """Return the gaits of the warm-up, while it lasts, if a policy without a clock is to learn the fittest one."""
         settings, gait = self.settings, self.explorer.rhythm
         asked = settings.imitation.updates and settings.init is None and self.setup.task.gait is None
-        return bool(asked and isinstance(gait, Evolution) and self.explorer.warming_up and gait.final)
+        return gait if asked and isinstance(gait, Evolution) and self.explorer.warming_up else None
+
+    @property
+    def _demonstrates(self) -> bool:
+        """Return whether robots follow the fittest gait from the next step on, for a policy without a clock."""
+        gait = self._shown_gait
+        return gait is not None and (gait.shows or gait.decides)
 
     def _imitate(self) -> None:
         """Let the actor begin as the fittest gait of the warm-up, if it is asked to."""

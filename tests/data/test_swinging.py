@@ -86,6 +86,23 @@ def test_without_a_least_speed_it_is_not_remembered(robot):
     assert "walked" not in swinging(robot).state_dict() and "walked" in swinging(robot, least_speed=1.0).state_dict()
 
 
+def test_all_follow_the_winner_at_the_end(robot, monkeypatch):
+    """Of 20 steps the last round has 6, and the winner the last 3 of them, which are not known as shown before."""
+    monkeypatch.setattr(Swinging, "FINALISTS", 2)
+    gaits = swinging(robot, robots=8, steps=20)
+    nobody, returned, shown = torch.zeros(8, dtype=torch.bool), torch.zeros(8), []
+    for step in range(20):
+        if step == 17:
+            assert gaits.decides
+            gaits.fitness.copy_(torch.tensor([0.1, 0.8] * 4))
+            winner = gaits.best_frequency[1].clone()
+        gaits(nobody if step else ~nobody, returned)
+        shown.append(gaits.shows)
+        returned = returned + torch.rand(8)
+    assert shown == [False] * 17 + [True] * 3 and not gaits.decides
+    assert gaits.followers.all() and (gaits.frequency == winner).all() and (gaits.best_frequency == winner).all()
+
+
 def test_followers_try_the_fittest_gait(robot, monkeypatch):
     monkeypatch.setattr(Swinging, "FINALISTS", 2)
     gaits = swinging(robot, robots=8, steps=10)

@@ -200,6 +200,21 @@ def test_another_gait_is_looked_for_when_the_policy_that_is_one_fails(tmp_path, 
     assert said.count("The policy begins as the warm-up's fittest gait") == 2
 
 
+def test_the_gait_is_shown_from_the_start_of_episodes(tmp_path):
+    """Of 20 steps of four robots the last three are shown; before them all episodes are cut, as by a time limit."""
+    train(tmp_path / "run", *IMITATING, "total_frames=80", "replay.storage=stacked", "replay.n_step=1")
+    trainer = Recorded.last
+    assert len(trainer.demonstration) == 4 * 3
+    stored = trainer.replay.buffer.torchrl[:].reshape(20, 4)
+    # At 14 the last round of 6 begins; the winner is shown from 17 on, from a new start in each of three steps.
+    for step in (13, 16, 17, 18):
+        assert stored["next", "truncated"][step].all() and stored["next", "done"][step].all()
+        assert not stored["next", "terminated"][step].all()
+    # Five frames of a start are equal; the joints' noise makes it another one than the standing pose.
+    frames = stored["nodes"][17].unflatten(-1, (5, 2))
+    assert (frames == frames[..., :1, :]).all() and (frames[:, 0, 0, 1] == 0).all()
+
+
 @pytest.mark.parametrize("off", ["stop_when.evaluations=null", "imitation.updates=0", "imitation.critics_first=0"])
 def test_no_other_gait_is_looked_for(tmp_path, off):
     """Where nothing ends the training, without imitation, and once the actor has learnt on."""
