@@ -23,8 +23,8 @@ class ExplorationSettings:
 
     Attributes:
         warmup: ``rhythmic``: a sine for every joint, left and right half a period apart (:class:`.Rhythm`);
-            ``stepping``: feet that step to and fro, at sizes by the legs' length (:class:`.Stepping`); ``uniform``:
-            random actions, each held for a while.
+            ``stepping``: feet that step to and fro, at sizes by the legs' length (:class:`.Stepping`), or as a velocity
+            is commanded (:class:`.CommandedStepping`); ``uniform``: random actions, each held for a while.
         learning_starts: Frames of the warm-up, of all robots together, before the policy acts.
         hold: Control steps for which warmup=uniform holds an action.
         frequency: Lowest and highest frequency of warmup=rhythmic (Hz).
