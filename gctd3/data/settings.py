@@ -26,8 +26,8 @@ class ExplorationSettings:
     Attributes:
         warmup: ``rhythmic``: a sine for every joint, left and right half a period apart (:class:`.Rhythm`);
             ``swinging``: the same gaits, which evolve by the training's reward (:class:`.Swinging`); ``stepping``: feet
-            that step to and fro, at sizes by the legs' length, which evolve too (:class:`.Stepping`); ``uniform``:
-            random actions, each held for a while.
+            that step to and fro, at sizes by the legs' length, or as a velocity is commanded, which evolve too
+            (:class:`.Stepping`, :class:`.CommandedStepping`); ``uniform``: random actions, each held for a while.
         learning_starts: Frames of the warm-up, of all robots together, before the policy acts.
         hold: Control steps for which warmup=uniform holds an action.
         frequency: Lowest and highest frequency of warmup=rhythmic and warmup=swinging (Hz).
