@@ -13,7 +13,7 @@ VERBS = set(
     """
     Accept Act Add Advance Align Announce Answer Append Apply Ask Assign Attach Average Begin Bind Block Bound Build
     Cache Call Cancel Carry Change Check Choose Clip Close Collect Compare Compile Complete Compose Compute
-    Configure Construct Continue Convert Copy Count Create Cut Decide Declare Decode Define Delay Delete
+    Configure Construct Continue Convert Copy Correct Count Create Cut Decide Declare Decode Define Delay Delete
     Deliver Describe Detect Disable Divide Draw Drive Drop Enable Encode End Ensure Enter Estimate Evaluate
     Exchange Exclude Export Extract Fill Filter Find Finish Follow Forget Format Freeze Gather Generate Get
     Give Go Group Guard Handle Have Hide Hold Identify Ignore Implement Import Index Initialise Insert Install
