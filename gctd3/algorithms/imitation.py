@@ -49,8 +49,8 @@ class Imitation:
         Returns:
             The mean squared difference of the actions in the last batch.
         """
-        falls = self.settings.learning_rate is not None
-        rate = self.settings.learning_rate or learning_rate
+        falls = self.settings.initial_learning_rate is not None
+        rate = self.settings.initial_learning_rate or learning_rate
         optimizer = torch.optim.Adam(actor.parameters(), lr=rate)
         difference = torch.zeros(())
         for update in range(self.settings.updates):

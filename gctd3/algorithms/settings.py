@@ -23,8 +23,8 @@ class ImitationSettings:
 
     Attributes:
         updates: Updates of the actor towards the gait, before the first one of the critics; 0 for no imitation.
-        learning_rate: Learning rate at the first of these updates, from which it falls linearly to 0, so that the last
-            batches are not followed more than the others; ``None`` for the algorithm's, which stays.
+        initial_learning_rate: Learning rate at the first of these updates, from which it falls linearly to 0, so that
+            the last batches are not followed more than the others; ``None`` for the algorithm's, which stays.
         retries: Times that the training begins again, with a new warm-up, when a policy that still is the gait misses
             the conditions that would end the training: another gait is found sooner than learning mends one.
         critics_first: Updates of the critics that follow before the actor learns on.
@@ -34,7 +34,7 @@ class ImitationSettings:
     """
 
     updates: int = 0
-    learning_rate: float | None = None
+    initial_learning_rate: float | None = None
     retries: int = 0
     critics_first: int = 1000
     weight: float = 12.0
@@ -44,8 +44,8 @@ class ImitationSettings:
         for name in ("updates", "retries", "critics_first"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"{name} must be at least 0, got {getattr(self, name)}.")
-        if self.learning_rate is not None and not self.learning_rate > 0:
-            raise ConfigError(f"learning_rate must be above 0, or null, got {self.learning_rate}.")
+        if self.initial_learning_rate is not None and not self.initial_learning_rate > 0:
+            raise ConfigError(f"initial_learning_rate must be above 0, or null, got {self.initial_learning_rate}.")
         if self.weight < 0:
             raise ConfigError(f"weight must be at least 0, got {self.weight}.")
         if self.fade < 1:

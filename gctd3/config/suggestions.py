@@ -22,6 +22,7 @@ def nearest(key: str, known: Mapping[str, str]) -> str:
     elsewhere = {known_key.rpartition(".")[2]: known_key for known_key in known}
     suggestion = (
         _by_letters(name, beside, _ALIKE)
+        or elsewhere.get(name)
         or _by_words(name, known, parent)
         or _by_letters(name, elsewhere, _ALIKE)
         or _by_letters(name, beside, _SIMILAR)

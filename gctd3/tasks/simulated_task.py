@@ -6,6 +6,7 @@ for one robot, ``[N]`` for a batch) and returns new ones; nothing here steps a s
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -159,7 +160,6 @@ class SimulatedTask:
         )
         clocks = [feature for feature in features.values() if isinstance(feature, GaitClock)]
         self.gait = clocks[0].pattern(robot) if clocks else None
-        self.posture = Posture(self.table, self.history, robot.leg_length)
         self._base = robot.base
         standing = self._base.read(robot.standing_qpos, np.zeros(robot.model.nv))
         self._standing = {name: value for name, (value, _) in standing.items()}
@@ -304,6 +304,11 @@ class SimulatedTask:
     def shown_velocity(self) -> Callable[[Array], Array] | None:
         """Return a function that reads how a robot moves from counters; ``None`` for a task without commands."""
         return None
+
+    @functools.cached_property
+    def posture(self) -> Posture:
+        """Return what shows the body's posture in observations."""
+        return Posture(self.table, self.history, self.robot.leg_length)
 
     def phase(self, nodes: Array) -> Array:
         """Return the phase that a task with a clock shows in observations, in periods from an episode's start.

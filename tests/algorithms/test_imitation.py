@@ -108,7 +108,7 @@ def test_its_own_learning_rate_falls_to_zero(monkeypatch, own, rates):
 
     monkeypatch.setattr(torch.optim, "Adam", Noting)
     algorithm = build("td3")
-    Imitation(ImitationSettings(updates=4, learning_rate=own), controller).begin(algorithm.actor, batch, 0.7)
+    Imitation(ImitationSettings(updates=4, initial_learning_rate=own), controller).begin(algorithm.actor, batch, 0.7)
     assert used == pytest.approx(rates)
 
 
@@ -138,7 +138,7 @@ def test_the_pull_keeps_the_actor_near_the_controller(name):
         ({"updates": -1}, "updates must be at least 0"),
         ({"retries": -1}, "retries must be at least 0"),
         ({"critics_first": -1}, "critics_first must be at least 0"),
-        ({"learning_rate": 0.0}, "learning_rate must be above 0, or null"),
+        ({"initial_learning_rate": 0.0}, "initial_learning_rate must be above 0, or null"),
         ({"weight": -1.0}, "weight must be at least 0"),
         ({"fade": 0}, "fade must be at least 1"),
     ],

@@ -17,6 +17,7 @@ from gctd3.robots.sources import DESCRIPTION, MENAGERIE, find_place, is_installe
 ROOT = Path(__file__).parents[2]
 OPTIONS = {file.stem: OmegaConf.load(file) for file in sorted((ROOT / "conf/robot").glob("*.yaml"))}
 OWNED = {name: option for name, option in OPTIONS.items() if "sources" in option.get("robot", {})}
+ON_TWO_LEGS = ("apollo", "berkeley_humanoid", "cassie", "g1", "h1", "n1", "op3", "t1", "talos")
 ROWS = re.findall(
     r"^\| `(\w+)` \| ([^|]+) \| ([^|]+) \|$",
     (ROOT / "docs/your-robot.md").read_text(encoding="utf-8"),
@@ -34,8 +35,8 @@ def test_each_is_settings_of_a_robot_alone():
     for name, option in OWNED.items():
         # What a training of such a robot asks for is in one place, but for the price of feet that slide.
         assert set(option) - ({"reward"} if name in ("b2", "go1") else set()) == {"defaults", "robot"}
-        assert option.defaults == ["free", "_self_"]
         robot = robot_of(name)
+        assert option.defaults == ["free_biped" if name in ON_TWO_LEGS else "free", "_self_"]
         assert robot.name == name and robot.takes_a_source and all(map(package_of, robot.sources))
 
 
@@ -51,7 +52,8 @@ def test_an_option_composes():
     assert settings.robot == robot_of("g1")
     # With the settings of a free base.
     assert settings.task.features["angle"].from_home and "long_contact" not in settings.reward.terms
-    assert settings.exploration.learning_starts == OPTIONS["free"].exploration.learning_starts
+    assert settings.exploration.learning_starts == OPTIONS["free_biped"].exploration.learning_starts
+    assert settings.exploration.warmup == OPTIONS["free"].exploration.warmup
 
 
 def test_patterns_fit_the_files_that_are_installed():

@@ -89,7 +89,7 @@ def test_stopped_while_it_imitates_a_gait_without_a_clock(tmp_path, capsys, fram
         "exploration.gait_time=0.04",
         "exploration.least_speed=1.0",
         "imitation.updates=3",
-        "imitation.learning_rate=0.001",
+        "imitation.initial_learning_rate=0.001",
         "imitation.critics_first=2",
     ]
     whole = train(tmp_path / "whole", *settings)
