@@ -22,7 +22,6 @@ def nearest(key: str, known: Mapping[str, str]) -> str:
     elsewhere = {known_key.rpartition(".")[2]: known_key for known_key in known}
     suggestion = (
         _by_letters(name, beside, _ALIKE)
-        or elsewhere.get(name)
         or _by_words(name, known, parent)
         or _by_letters(name, elsewhere, _ALIKE)
         or _by_letters(name, beside, _SIMILAR)
@@ -39,7 +38,7 @@ def _by_words(name: str, known: Mapping[str, str], parent: str) -> str | None:
     """Find the key below ``parent`` with all words of ``name``: beside it, in its name, early in its meaning."""
     asked = [_stem(word) for word in name.split("_")]
 
-    def rank(candidate: str) -> tuple[bool, int, int] | None:
+    def rank(candidate: str) -> tuple[bool, int, int, int] | None:
         place, _, own = candidate.rpartition(".")
         named = [_stem(word) for word in own.split("_")]
         described = [_stem(word) for word in _WORD.findall(known[candidate].lower().replace("-", ""))]
@@ -47,7 +46,9 @@ def _by_words(name: str, known: Mapping[str, str], parent: str) -> str | None:
         if not below or not all(word in named or word in described for word in asked):
             return None
         at = min((described.index(word) for word in asked if word in described), default=len(described))
-        return place != parent, -sum(word in named for word in asked), at
+        shared = sum(word in named for word in asked)
+        # Of names with the same words of it, the one with the fewest others.
+        return place != parent, -shared, len(named) if shared else 0, at
 
     ranks = {candidate: order for candidate in known if (order := rank(candidate)) is not None}
     return min(ranks, key=lambda candidate: ranks[candidate]) if ranks else None
