@@ -23,8 +23,8 @@ RUNS = {
     "td3 seed 1": (["algo=td3", "seed=1"], ()),
     "ddpg": (["algo=ddpg"], ()),
     "sac": (["algo=sac"], ()),
-    "quadruped": (["algo=gctd3", "robot=quadruped"], ()),
-    "velocity": (["algo=gctd3", "robot=quadruped", "task=velocity"], ()),
+    "quadruped": (["algo=gctd3", "robot=quadruped", "imitation.updates=3"], ()),
+    "velocity": (["algo=gctd3", "robot=quadruped", "task=velocity", "imitation.updates=3"], ()),
     "dm_control": (["algo=gctd3", "env.backend=dm_control"], ()),
     "library": (
         ["algo=gctd3", *LIBRARY],

@@ -78,6 +78,7 @@ def test_any_turn_is_that_of_mujoco():
         assert read(orientation, *ANGLES) == pytest.approx([roll, pitch], abs=1e-13)
 
 
+@pytest.mark.nightly
 def test_an_imu_takes_the_place_of_six_topics(contract):
     layout = layout_of(contract, "contract")
     assert set(layout.inertial) == {*GRAVITY, *RATES}

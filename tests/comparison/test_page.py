@@ -170,6 +170,7 @@ def test_all_of_it_can_be_read(opened, scheme, width):
     assert min(every(page, "small, td, th, p", "parseFloat(getComputedStyle(e).fontSize)")) >= 11
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("width", [1280, pytest.param(1920, marks=pytest.mark.nightly)])
 def test_no_table_is_cut(opened, width):
     page = opened(width)

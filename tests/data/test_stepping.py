@@ -173,6 +173,7 @@ def test_it_goes_on_from_its_state(quadruped):
         torch.testing.assert_close(a, b, rtol=0.0, atol=0.0)
 
 
+@pytest.mark.nightly
 def test_gaits_that_evolve_walk(quadruped):
     """On the quadruped the gaits that robots remember after 10,000 control steps cover more ground than at first."""
     ends = {"long_contact": None, "stuck_hip": None, "fall": Fall(height=None)}
@@ -212,6 +213,7 @@ def test_the_fittest_gait_can_be_played_without_noise(quadruped):
         torch.testing.assert_close(action, expected.expand(7, -1), rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.nightly
 def test_a_training_says_how_far_that_gait_gets(tmp_path, capsys):
     run = tmp_path / "run"
     asked = ["robot=quadruped", "exploration.warmup=stepping", "exploration.gait_time=0.2", "robot.action_scale=0.3"]

@@ -133,6 +133,7 @@ def test_robots_that_fall_at_once_have_no_error():
     assert table(results).splitlines()[-2].endswith("100%")
 
 
+@pytest.mark.nightly
 def test_the_command_writes_every_number(finished, tmp_path, capsys):
     pytest.importorskip("matplotlib")
     out = tmp_path / "out"
