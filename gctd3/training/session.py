@@ -120,14 +120,12 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
         if not (resumed and has_robot(run)):
             keep_robot(setup.robot, run)
         save_config(run, config, overrides)
-        print(opening(config, setup.task.name, run))
-        if settings.replay.mirror:
-            print(setup.mirror_check)
-        if differs is not None:
-            print(differs)
-        print(flush=True)
-        if setup.robot.origin:
-            print(f"{setup.robot.origin}\n", flush=True)
+        begins = [opening(config, setup.task.name, run)]
+        begins += [str(setup.mirror_check)] if settings.replay.mirror else []
+        begins += [differs] if differs is not None else []
+        begins += ["", f"{setup.robot.origin}\n"] if setup.robot.origin else [""]
+        # At once: who has read where the run is may read no further.
+        print("\n".join(begins), flush=True)
         if trainer.finished and sweeping:
             print("It is finished already.")
         elif trainer.finished:
