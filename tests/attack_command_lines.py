@@ -19,7 +19,7 @@ def check(name, arguments, output):
     Args:
         name: Name of the command.
         arguments: Its arguments.
-        output: Directory that it may write to.
+        output: Directory that it may write to, besides the one that its own arguments name.
     """
     import contextlib
     import io
@@ -32,7 +32,10 @@ def check(name, arguments, output):
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
         code = command(name, *arguments, trainer=Idle)
     said = error.getvalue()
-    elsewhere = [path for path in tree(os.getcwd()) - before if not path.startswith(os.path.abspath(output))]
+    named = [word.partition("=")[2] for word in arguments if word.lstrip("+").startswith("out=")]
+    # Without a name a graph is drawn to this file.
+    places = tuple(map(os.path.abspath, [output, *named[-1:], *(["graph.svg"] if name == "graph" else [])]))
+    elsewhere = [path for path in tree(os.getcwd()) - before if not path.startswith(places)]
     if elsewhere:
         return f"defect: written elsewhere: {elsewhere[:3]}"
     if "Traceback" in said or code not in (0, 2):

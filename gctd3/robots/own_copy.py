@@ -113,19 +113,16 @@ class OwnCopy:
         self._check(model)
         if self.content["left_out"]:
             _show(model)
-        about = self.content["robot"]
-        robot = Robot.from_model(
-            model,
-            Path(about["path"]),
-            about["feet"],
-            about["forward_axis"],
-            root_name=about["root"],
-            driven=True,
-            source=self.source,
-            notes=tuple(about["notes"]),
-            held=about["held"],
-        )
-        scale, command = (None if about[k] is None else tuple(about[k]) for k in ("action_scale", "standing_command"))
+        try:
+            about = self.content["robot"]
+            facts = {"root_name": about["root"], "notes": tuple(about["notes"]), "held": about["held"]}
+            places = Path(about["path"]), about["feet"], about["forward_axis"]
+            scale, command = (
+                None if about[k] is None else tuple(about[k]) for k in ("action_scale", "standing_command")
+            )
+        except (KeyError, TypeError) as error:
+            raise RunError(f"{self.folder} cannot be read: it lacks or misstates {error} of its robot.") from error
+        robot = Robot.from_model(model, *places, driven=True, source=self.source, **facts)
         blueprint = Blueprint(functools.partial(mujoco.MjSpec.from_string, text, assets=read))
         return replace(robot, action_scale=scale, standing_command=command, blueprint=blueprint)
 

@@ -245,6 +245,16 @@ def test_a_damaged_copy_is_named(tmp_path):
         OwnCopy.read(tmp_path)
 
 
+@pytest.mark.parametrize("fact", ["root", "notes", "held", "path", "feet", "forward_axis", "action_scale"])
+def test_a_fact_that_is_not_in_the_copy_is_named(tmp_path, fact):
+    _, copy = kept(RobotSettings("biped"), tmp_path)
+    content = read_manifest(copy.folder)
+    del content["robot"][fact]
+    write_manifest(copy.folder, content)
+    with pytest.raises(RunError, match=rf"cannot be read: it lacks or misstates '{fact}' of its robot"):
+        _ = OwnCopy.read(tmp_path).robot
+
+
 def test_a_copy_that_is_another_robot_is_refused(tmp_path):
     """With checksums that fit, too: the model that comes of it is compared."""
     _, copy = kept(RobotSettings("biped"), tmp_path)
