@@ -124,8 +124,9 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
         begins += [str(setup.mirror_check)] if settings.replay.mirror else []
         begins += [differs] if differs is not None else []
         begins += ["", f"{setup.robot.origin}\n"] if setup.robot.origin else [""]
-        # At once: who has read where the run is may read no further.
-        print("\n".join(begins), flush=True)
+        # Who has read where the run is may read no further.
+        with enduring_output():
+            print("\n".join(begins), flush=True)
         if trainer.finished and sweeping:
             print("It is finished already.")
         elif trainer.finished:

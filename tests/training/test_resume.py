@@ -69,7 +69,6 @@ def test_stopped_while_it_imitates_a_gait(tmp_path, capsys):
         "robot.action_scale=0.3",
         "exploration.warmup=stepping",
         "exploration.gait_time=0.1",
-        "+task.features.clock._target_=gctd3.GaitClock",
         "imitation.updates=3",
         "imitation.critics_first=2",
     ]
