@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import mmap
 from collections.abc import Iterable
 from typing import Any
 
@@ -71,7 +73,7 @@ class FrameBuffer:
         try:
             for key, values in step.items():
                 self._ring[key] = _zeros((self.rows, *values.shape), values.dtype, self.device)
-        except (RuntimeError, MemoryError) as error:
+        except (RuntimeError, MemoryError, OSError, OverflowError) as error:
             raise MemoryError(f"replay.buffer_size={self.capacity}") from error
         self._ring["last"] = torch.full((self.rows, self.robots), -1, dtype=torch.int32, device=self.device)
         self._flat = {key: values.flatten(0, 1) for key, values in self._ring.items()}
@@ -288,7 +290,13 @@ class FrameBuffer:
 
 
 def _zeros(shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Return zeros that take up a CPU's memory only once they are written to; PyTorch's are written at once."""
+    """Return zeros that take up a CPU's memory only once they are written to.
+
+    PyTorch writes its zeros at once, and so does NumPy where the allocator hands out memory that was used before. Pages
+    of their own are empty whatever the process did until then.
+    """
     if device.type != "cpu":
         return torch.zeros(shape, dtype=dtype, device=device)
-    return torch.from_numpy(np.zeros(shape, torch.zeros((), dtype=dtype).numpy().dtype))
+    kind = torch.zeros((), dtype=dtype).numpy().dtype
+    pages = mmap.mmap(-1, max(1, math.prod(shape) * kind.itemsize), access=mmap.ACCESS_COPY)
+    return torch.from_numpy(np.frombuffer(pages, kind, math.prod(shape)).reshape(shape))
