@@ -102,11 +102,9 @@ def resident(tensor):
 @pytest.mark.skipif(not PAGEMAP.exists(), reason="reads the memory of a process as Linux shows it")
 def test_rows_take_up_memory_once_they_are_written(collected):
     # Memory that was used and given back, which an allocator hands out again after writing zeros to all of it.
-    for _ in range(2):
+    for _ in range(3):
         used = [np.ones(size, np.uint8) for size in (31_000_000, 16_000_000, 8_000_000, 4_000_000) for _ in range(4)]
         del used
-    used, after = [np.ones(30_000_000, np.uint8) for _ in range(2)], np.ones(100_000, np.uint8)
-    del used
     buffer = FrameBuffer(4_000_000, 8, history=5, n_step=1, gamma=0.99)
     buffer.extend(collected)
     tables = [*buffer._ring.values(), *buffer._last.values()]
