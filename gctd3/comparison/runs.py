@@ -18,10 +18,10 @@ from gctd3.files import MANIFEST, OWN_ROBOT, read_manifest, unwritable
 from gctd3.progress import tracked
 from gctd3.runs.evaluate import EVALUATION, ROBUSTNESS, TRACE, evaluate_run
 from gctd3.runs.settings import EvaluateSettings
+from gctd3.training.post_mortem import POST_MORTEM
 from gctd3.training.run_log import PROGRESS
 from gctd3.training.saved_configuration import CONFIG, OVERRIDES, command_line, flat, load_config, load_settings
 from gctd3.training.stop_when import StopWhen
-from gctd3.training.trainer import POST_MORTEM
 
 # All files that are read of a run, except its policy.
 READ = (CONFIG, OVERRIDES, *map(Path, (PROGRESS, EVALUATION, TRACE, ROBUSTNESS)), Path(POST_MORTEM) / MANIFEST)

@@ -24,6 +24,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf, flag_override
 
 from gctd3.compat import complete_compositions
 from gctd3.config.fields import TARGET, defaults_of, find, is_settings
+from gctd3.config.help import conf
 from gctd3.errors import ConfigError, PackageError
 
 OWN = "gctd3."
@@ -47,7 +48,7 @@ def complete(config: DictConfig | ListConfig, ours: bool = False, path: str = ""
         path: Its place in the configuration, for messages.
 
     Raises:
-        ConfigError: If a ``_target_`` cannot be imported.
+        ConfigError: If a ``_target_`` cannot be imported, or settings of a part have taken the place of the whole.
     """
     if isinstance(config, DictConfig):
         target = _inner(config, TARGET) if _says(config, TARGET) else None
@@ -69,7 +70,23 @@ def _add_defaults(config: DictConfig, target: str, path: str) -> None:
     except ImportError as error:
         raise ConfigError(f"{path or 'the configuration'}: _target_ {target!r} cannot be imported: {error}") from error
     if is_settings(settings):
-        _add(config, defaults_of(settings))
+        defaults = defaults_of(settings)
+        if path == "" and _HYDRAS in config:
+            _check_root(config, target, set(defaults))
+        _add(config, defaults)
+
+
+def _check_root(config: DictConfig, target: str, known: set[str]) -> None:
+    """Refuse settings of a part, such as the robot's, that have taken the place of a command's."""
+    parts = {str(key): _inner(config, key) for key in config if key not in {*known, TARGET, _HYDRAS}}
+    nameless = [key for key, part in parts.items() if isinstance(part, DictConfig) and not _says(part, TARGET)]
+    if nameless and not any(
+        f"\n{TARGET}: {target}\n" in file.read_text(encoding="utf-8") for file in conf().glob("*.yaml")
+    ):
+        raise ConfigError(
+            f"{target} has taken the place of all settings; {nameless[0]} has no class. A YAML with '# @package "
+            "_global_' begins from another one by its place, as in '- /robot/biped@robot', not '- biped'."
+        )
 
 
 def _add(config: DictConfig, defaults: dict[str, Any]) -> None:

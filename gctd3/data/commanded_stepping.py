@@ -12,6 +12,7 @@ from torch import Tensor
 from gctd3.data.command_correction import CommandCorrection
 from gctd3.data.foot_paths import foot_places
 from gctd3.data.stepping import Stepping
+from gctd3.data.trials import NOTHING, Shown, Trials
 from gctd3.robots.gait_pattern import GRAVITY, GaitPattern
 from gctd3.robots.robot import Robot
 
@@ -62,17 +63,11 @@ class CommandedStepping(Stepping):
         self,
         robot: Robot,
         num_robots: int,
-        trial: float,
-        control_dt: float,
-        mutation_share: float = 0.8,
+        trials: Trials,
         gait: GaitPattern | None = None,
-        steps: int | None = None,
-        limit: int | None = None,
         balances: bool = False,
-        least_speed: float | None = None,
     ) -> None:
-        pace = (trial, control_dt, mutation_share)
-        super().__init__(robot, num_robots, *pace, gait, steps, limit, balances, least_speed)
+        super().__init__(robot, num_robots, trials, gait, balances)
         self.register_buffer("places", foot_places(robot), persistent=False)
         self.register_buffer("results", torch.full((num_robots,), -math.inf))
         self.register_buffer("asked", torch.zeros(num_robots, self.SIZES))
@@ -83,33 +78,23 @@ class CommandedStepping(Stepping):
         self.register_buffer("held", torch.zeros(num_robots, dtype=torch.int64))
         self.register_buffer("correcting", torch.zeros((), dtype=torch.bool))
         self.correction = CommandCorrection()
-        self._correct_from = math.inf if steps is None else (1.0 - self.CORRECTED) * steps
+        self._correct_from = math.inf if trials.steps is None else (1.0 - self.CORRECTED) * trials.steps
 
     def forward(
         self,
         is_init: Tensor,
         returned: Tensor,
         position: Tensor | None = None,
-        command: Tensor | None = None,
-        posture: Tensor | None = None,
-        moved: Tensor | None = None,
+        shown: Shown = NOTHING,
     ) -> Tensor:
-        """Return the actions ``[robots, A]`` of the next step; see :meth:`.Evolution.forward`.
-
-        Args:
-            is_init: Robots whose episode begins, bool ``[robots]``.
-            returned: Sum of the episode's rewards so far, ``[robots]``.
-            position: Distance walked in the episode, ``[robots]`` (m); needed only with a least speed.
-            command: Commanded velocity, ``[robots, 3]`` (m/s, m/s, rad/s).
-            posture: The body's posture, ``[robots, 6]``, which gaits with reflexes need.
-            moved: Velocity without the body's sway, ``[robots, 3]`` (m/s, m/s, rad/s); ``None`` where it is not known,
-                and commands are not corrected.
-        """
-        if command is not None and moved is not None:
-            self._correct(is_init, command, moved)
-        action = super().forward(is_init, returned, position, command, posture)
+        """Return the actions ``[robots, A]`` of the next step; see :meth:`.Evolution.forward`."""
+        if shown.command is not None and shown.velocity is not None:
+            self._correct(is_init, shown.command, shown.velocity)
+        action = super().forward(is_init, returned, position, shown)
         # The trial that this step belongs to may just have begun.
-        self.asked_so_far.copy_(torch.where((self.age > 1)[:, None], self.asked_so_far, 0.0) + self._sizes(command))
+        self.asked_so_far.copy_(
+            torch.where((self.age > 1)[:, None], self.asked_so_far, 0.0) + self._sizes(shown.command)
+        )
         return action
 
     def _correct(self, is_init: Tensor, command: Tensor, moved: Tensor) -> None:

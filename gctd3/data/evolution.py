@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import torch
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+
+from gctd3.data.trials import NOTHING, Shown, Trials
 
 
 class Evolution(torch.nn.Module, ABC):
@@ -19,20 +19,15 @@ class Evolution(torch.nn.Module, ABC):
     Each robot tries a gait for a while, remembers its best one, and most new gaits are mutations of what a few robots
     remember. Some trials are of a remembered gait, which then counts by the mean, and in the last round all robots try
     the fittest few. The fitness of a gait is the mean reward of the training while it is tried, less a penalty if the
-    robot falls: what feet that slide or a body that sags cost a policy, they cost a gait. With ``least_speed`` a slower
+    robot falls: what feet that slide or a body that sags cost a policy, they cost a gait. With a least speed a slower
     gait is less fit by :attr:`SLOW` for each m/s that its mean speed lacks.
 
     Args:
         num_robots: Number of robots.
         groups: Values of a gene of which each group of feet or joints has its own.
-        trial: Time for which a gait is tried (s).
-        control_dt: Control period (s).
-        mutation_share: Share of new gaits that descend from others.
-        steps: Control steps of the warm-up; ``None`` for one without an end.
+        trials: How gaits are tried.
         unit: Frequency of which a gait's ``frequency`` is a multiple (Hz).
         fixed: Genes that do not evolve, and their values.
-        least_speed: Speed below which a gait is less fit (m/s); ``None`` for the reward alone.
-        limit: Control steps after which an episode ends though the robot has not fallen; ``None`` for no such limit.
         genes: Lowest and highest value of genes beside ``GENES``, and whether each group has its own.
     """
 
@@ -69,21 +64,16 @@ class Evolution(torch.nn.Module, ABC):
         self,
         num_robots: int,
         groups: int,
-        trial: float,
-        control_dt: float,
-        mutation_share: float,
-        steps: int | None,
+        trials: Trials,
         unit: float = 1.0,
         fixed: Mapping[str, Tensor] | None = None,
-        least_speed: float | None = None,
-        limit: int | None = None,
         genes: Mapping[str, tuple[float, float, bool]] | None = None,
     ) -> None:
         super().__init__()
         self.genes = {**(genes or {}), **self.GENES}
-        self._limit = math.inf if limit is None else limit
-        self.groups, self._dt, self._share, self._unit = groups, control_dt, mutation_share, unit
-        self._steps = max(round(trial / control_dt), 1)
+        self.groups, self._trials, self._dt, self._unit = groups, trials, trials.control_dt, unit
+        self._limit, steps = math.inf if trials.limit is None else trials.limit, trials.steps
+        self._steps = max(round(trials.duration / trials.control_dt), 1)
         self._last_round = math.inf if steps is None else (1.0 - self.LAST_ROUND) * steps
         self._shown = math.inf if steps is None or not self.SHOWN else round((1.0 - self.SHOWN) * steps)
         self._showing = max(1, round(self.SHOWN * (steps or 0) / self.STARTS))
@@ -100,28 +90,20 @@ class Evolution(torch.nn.Module, ABC):
         self.register_buffer("again", torch.zeros(num_robots, dtype=torch.bool))
         self.register_buffer("final", torch.zeros((), dtype=torch.bool))
         self.register_buffer("finalist", torch.full((num_robots,), -1, dtype=torch.int64))
-        self._least_speed = least_speed
-        if least_speed is not None:
+        if trials.least_speed is not None:
             self.register_buffer("walked", torch.zeros(num_robots))
             self.register_buffer("place", torch.zeros(num_robots))
         # No trial has begun.
         self.register_buffer("age", torch.full((num_robots,), -1, dtype=torch.int64))
 
     @abstractmethod
-    def act(
-        self,
-        genes: Mapping[str, Tensor],
-        cycles: Tensor,
-        command: Tensor | None = None,
-        posture: Tensor | None = None,
-    ) -> Tensor:
+    def act(self, genes: Mapping[str, Tensor], cycles: Tensor, shown: Shown = NOTHING) -> Tensor:
         """Return the actions of gaits, which are not clipped.
 
         Args:
             genes: Genes by name, ``[B]`` or ``[B, groups]``.
             cycles: Periods since the start of the episode, ``[B]``.
-            command: Commanded velocity, ``[B, 3]`` (m/s, m/s, rad/s); ``None`` for gaits that follow none.
-            posture: The body's posture, ``[B, 6]`` (:class:`.Posture`), which gaits with reflexes need.
+            shown: What observations of the robots show.
 
         Returns:
             Actions, ``[B, A]``.
@@ -138,7 +120,7 @@ class Evolution(torch.nn.Module, ABC):
         """Draw mutations of the fittest gaits among a few that robots remember, one for each robot."""
         rivals = torch.randint(count, (count, self.RIVALS))
         parent = rivals.gather(1, self.fitness[rivals].argmax(dim=1, keepdim=True))[:, 0]
-        descends = (torch.rand(count) < self._share) & self.fitness[parent].isfinite()
+        descends = (torch.rand(count) < self._trials.mutation_share) & self.fitness[parent].isfinite()
         children = self._draw(count)
         for name, (low, high, paired) in self.genes.items():
             if name in self._fixed:
@@ -155,10 +137,10 @@ class Evolution(torch.nn.Module, ABC):
         # A trial that the time limit cuts short says nothing.
         tried = ended & (self.age > 0) & (fell | (self.age >= self._steps))
         result = (self.last - self.start) / self._steps - self.FALL * fell
-        if self._least_speed is not None:
+        if self._trials.least_speed is not None:
             # A robot that falls has not walked for the rest of the trial.
             speed = self.walked / (self._steps * self._dt)
-            result = result - self.SLOW * (self._least_speed - speed).clamp(min=0.0)
+            result = result - self.SLOW * (self._trials.least_speed - speed).clamp(min=0.0)
         fitter = self._judge(tried, result)
         children = self._children(len(ended))
         share = 1.0 if self.final else self.AGAIN
@@ -209,8 +191,7 @@ class Evolution(torch.nn.Module, ABC):
         is_init: Tensor,
         returned: Tensor,
         position: Tensor | None = None,
-        command: Tensor | None = None,
-        posture: Tensor | None = None,
+        shown: Shown = NOTHING,
     ) -> Tensor:
         """Return the actions ``[robots, A]`` of the next step.
 
@@ -218,10 +199,9 @@ class Evolution(torch.nn.Module, ABC):
             is_init: Robots whose episode begins, bool ``[robots]``.
             returned: Sum of the episode's rewards so far, ``[robots]``.
             position: Distance walked in the episode, ``[robots]`` (m); needed only with a least speed.
-            command: Commanded velocity, ``[robots, 3]`` (m/s, m/s, rad/s); ``None`` for gaits that follow none.
-            posture: The body's posture, ``[robots, 6]`` (:class:`.Posture`), which gaits with reflexes need.
+            shown: What observations of the robots show.
         """
-        if self._least_speed is not None and position is not None:
+        if self._trials.least_speed is not None and position is not None:
             # Of an episode that has begun anew the last step is not known.
             self.walked += torch.where(is_init, 0.0, position - self.place)
             self.place.copy_(position)
@@ -240,7 +220,7 @@ class Evolution(torch.nn.Module, ABC):
             self._end(ended, is_init)
             self.start.copy_(torch.where(ended, returned, self.start))
             self.age.copy_(torch.where(ended, 0, self.age))
-            if self._least_speed is not None:
+            if self._trials.least_speed is not None:
                 self.walked.copy_(torch.where(ended, 0.0, self.walked))
             self.cycles.copy_(torch.where(is_init, 0.0, self.cycles))
             self.lived.copy_(torch.where(is_init, 0, self.lived))
@@ -249,7 +229,7 @@ class Evolution(torch.nn.Module, ABC):
         self.age += 1
         self.taken += 1
         self.cycles += self._dt * self._unit * self.frequency
-        action = self.act({name: getattr(self, name) for name in self.genes}, self.cycles, command, posture)
+        action = self.act({name: getattr(self, name) for name in self.genes}, self.cycles, shown)
         return (action + self.NOISE * torch.randn_like(action)).clamp(-1.0, 1.0)
 
     @property
@@ -299,44 +279,22 @@ class Evolution(torch.nn.Module, ABC):
         """Return whether a gait was tried to its end."""
         return bool(self.fitness.isfinite().any())
 
-    def fittest_action(self, phase: Tensor, command: Tensor | None = None, posture: Tensor | None = None) -> Tensor:
+    def fittest_action(self, phase: Tensor, shown: Shown = NOTHING) -> Tensor:
         """Return the actions of the fittest gait after states of the given phases; all gaits keep to one frequency.
 
         Args:
             phase: Phase of the gait, ``[*]`` (periods).
-            command: Commanded velocity, ``[*, 3]`` (m/s, m/s, rad/s); ``None`` for a gait that follows none.
-            posture: The body's posture, ``[*, 6]``, which a gait with reflexes needs.
+            shown: What observations of these states show, ``[*, ...]``.
 
         Returns:
             Actions, ``[*, A]``.
         """
         genes = self._fittest(len(phase))
         cycles = phase + self._dt * self._unit * genes["frequency"]
-        return self.act(genes, cycles, command, posture).clamp(-1.0, 1.0)
+        return self.act(genes, cycles, shown).clamp(-1.0, 1.0)
 
-    def fittest(self, steps: int) -> OpenLoop | None:
-        """Return the fittest gait as a policy for episodes of up to ``steps`` control steps, if one was tried."""
-        if not self.tried:
-            return None
+    def fittest_actions(self, steps: int) -> Tensor:
+        """Return the actions of the fittest gait in the first ``steps`` control steps of an episode, ``[steps, A]``."""
         genes = self._fittest(steps)
         cycles = torch.arange(1, steps + 1) * self._dt * self._unit * genes["frequency"]
-        return OpenLoop(self.act(genes, cycles).clamp(-1.0, 1.0))
-
-
-class OpenLoop(TensorDictModuleBase):
-    """Act in all robots by a list of actions, whatever they observe, from the start of an episode that all begin.
-
-    Args:
-        actions: Action of each control step, shape ``[steps, A]``; the last one is repeated.
-    """
-
-    def __init__(self, actions: Tensor) -> None:
-        super().__init__()
-        self.in_keys, self.out_keys = list[str](), ["action"]
-        self.actions, self.taken = actions, 0
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the next action of the list for every robot."""
-        action = self.actions[min(self.taken, len(self.actions) - 1)]
-        self.taken += 1
-        return tensordict.set("action", action.expand(*tensordict.batch_size, -1).clone())
+        return self.act(genes, cycles).clamp(-1.0, 1.0)

@@ -16,10 +16,10 @@ from gctd3.data.evolution import Evolution
 from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
 from gctd3.data.swinging import Swinging
+from gctd3.data.trials import Shown, Trials
 from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.robot import Robot
 from gctd3.tasks.posture import Posture
-from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.tasks.task import Task
 
 
@@ -202,14 +202,14 @@ class Explorer(TensorDictModuleBase):
         settings.check_robot(robot, control_dt)
         self.rhythm: Rhythm | Evolution | None = None
         steps, share = settings.learning_starts // num_robots, settings.mutation_share
-        trial, slow = settings.trial(robot), settings.least_speed
+        trials = Trials(settings.trial(robot), control_dt, share, steps, limit, settings.least_speed)
         if settings.warmup == "rhythmic":
             self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, share)
         elif settings.warmup == "swinging":
-            self.rhythm = Swinging(robot, robots, settings.frequency, trial, control_dt, share, steps, limit, slow)
+            self.rhythm = Swinging(robot, robots, settings.frequency, trials)
         elif stepping:
-            kind, balances = Stepping if command is None else CommandedStepping, self._posture is not None
-            self.rhythm = kind(robot, robots, trial, control_dt, share, gait, steps, limit, balances, slow)
+            kind = Stepping if command is None else CommandedStepping
+            self.rhythm = kind(robot, robots, trials, gait, balances=self._posture is not None)
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
@@ -231,11 +231,8 @@ class Explorer(TensorDictModuleBase):
         part: slice = slice(None),
     ) -> Explorer:
         """Build the explorer of a task; see :class:`Explorer` for the arguments."""
-        simulated = task if isinstance(task, SimulatedTask) else None
-        if simulated is None:
-            return cls(actor, task.robot, num_robots, settings, task.control_dt, part, task.gait)
-        seen = simulated.shown_command, simulated.shown_velocity, simulated.time_limit, simulated.posture
-        return cls(actor, task.robot, num_robots, settings, task.control_dt, part, task.gait, *seen)
+        shown = task.shown_command, task.shown_velocity, task.time_limit, task.posture
+        return cls(actor, task.robot, num_robots, settings, task.control_dt, part, task.gait, *shown)
 
     @property
     def warming_up(self) -> bool:
@@ -269,15 +266,18 @@ class Explorer(TensorDictModuleBase):
     def _warmup(self, tensordict: TensorDictBase) -> Tensor:
         if self.rhythm is not None:
             reached = [tensordict.get(key).reshape(-1) for key in ("is_init", *self._judged_by)]
-            seen: dict[str, Tensor] = {}
-            if self._posture is not None:
-                seen["posture"] = self._posture(tensordict.get("nodes"))
-            if self._command is not None:
-                seen["command"] = self._command(tensordict.get("nodes"))
-            if self._velocity is not None:
-                seen["moved"] = self._velocity(tensordict.get("counters"))
-            action: Tensor = self.rhythm(*reached, **seen)
+            # A rhythm without trials asks for nothing that is shown.
+            shown = {"shown": self._shown(tensordict)} if isinstance(self.rhythm, Evolution) else {}
+            action: Tensor = self.rhythm(*reached, **shown)
             return action
         if (int(self.frames) // self.num_robots) % self.settings.hold == 0:
             self.held.uniform_(-1.0, 1.0)
         return self.held.clone()
+
+    def _shown(self, tensordict: TensorDictBase) -> Shown:
+        nodes = tensordict.get("nodes", None)
+        return Shown(
+            command=None if self._command is None else self._command(nodes),
+            posture=None if self._posture is None else self._posture(nodes),
+            velocity=None if self._velocity is None else self._velocity(tensordict.get("counters")),
+        )

@@ -6,8 +6,9 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from gctd3.data.evolution import Evolution, OpenLoop
+from gctd3.data.evolution import Evolution
 from gctd3.data.stepping import Stepping
+from gctd3.data.trials import Shown
 from gctd3.tasks.simulated_task import SimulatedTask
 
 
@@ -30,11 +31,30 @@ class ByClock(TensorDictModuleBase):
         gait, task = self._of
         nodes, command = seen["nodes"].to("cpu"), task.shown_command
         posture = task.posture(nodes) if _balances(gait) else None
-        return gait.fittest_action(task.phase(nodes), None if command is None else command(nodes), posture)
+        return gait.fittest_action(task.phase(nodes), Shown(None if command is None else command(nodes), posture))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the next action of every robot."""
         return tensordict.set("action", self.action(tensordict))
+
+
+class OpenLoop(TensorDictModuleBase):
+    """Act in all robots by a list of actions, whatever they observe, from the start of an episode that all begin.
+
+    Args:
+        actions: Action of each control step, shape ``[steps, A]``; the last one is repeated.
+    """
+
+    def __init__(self, actions: Tensor) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = list[str](), ["action"]
+        self.actions, self.taken = actions, 0
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the next action of the list for every robot."""
+        action = self.actions[min(self.taken, len(self.actions) - 1)]
+        self.taken += 1
+        return tensordict.set("action", action.expand(*tensordict.batch_size, -1).clone())
 
 
 def fittest_gait(gait: Evolution, task: SimulatedTask) -> OpenLoop | ByClock | None:
@@ -45,7 +65,7 @@ def fittest_gait(gait: Evolution, task: SimulatedTask) -> OpenLoop | ByClock | N
         task: Their task. Gaits that follow a command or have reflexes are replayed by its clock.
     """
     if task.shown_command is None and not _balances(gait):
-        return gait.fittest(task.time_limit)
+        return OpenLoop(gait.fittest_actions(task.time_limit)) if gait.tried else None
     return ByClock(gait, task) if gait.tried and task.gait is not None else None
 
 

@@ -13,6 +13,7 @@ from gctd3.data.evolution import Evolution
 from gctd3.data.foot_paths import foot_arcs, foot_groups, foot_height, foot_places, foot_way, joint_paths
 from gctd3.data.reflexes import GENES as REFLEXES
 from gctd3.data.reflexes import NONE_AT_FIRST, reflexes
+from gctd3.data.trials import NOTHING, Shown, Trials
 from gctd3.robots.gait_pattern import GRAVITY, GaitPattern
 from gctd3.robots.robot import Robot
 from gctd3.tasks.posture import SENSES
@@ -34,14 +35,9 @@ class Stepping(Evolution):
     Args:
         robot: The robot.
         num_robots: Number of robots.
-        trial: Time for which a gait is tried (s).
-        control_dt: Control period (s).
-        mutation_share: Share of new gaits that descend from others.
+        trials: How gaits are tried.
         gait: Frequency and phases of the feet of all gaits; they evolve if ``None``.
-        steps: Control steps of the warm-up; ``None`` for one without an end.
-        limit: Control steps after which an episode ends though the robot has not fallen; ``None`` for no such limit.
         balances: Whether gaits have reflexes.
-        least_speed: Speed below which a gait is less fit (m/s); ``None`` for the reward alone.
 
     Raises:
         ConfigError: If no foot has a driven joint of its own.
@@ -75,14 +71,9 @@ class Stepping(Evolution):
         self,
         robot: Robot,
         num_robots: int,
-        trial: float,
-        control_dt: float,
-        mutation_share: float = 0.8,
+        trials: Trials,
         gait: GaitPattern | None = None,
-        steps: int | None = None,
-        limit: int | None = None,
         balances: bool = False,
-        least_speed: float | None = None,
     ) -> None:
         length = robot.leg_length
         pendulum = math.sqrt(GRAVITY / length) / (2 * math.pi)
@@ -94,9 +85,7 @@ class Stepping(Evolution):
             firsts = phases[[int((group == pair).nonzero()[0]) for pair in range(groups)]]
             lag = phases - firsts[group]
             fixed = {"frequency": torch.tensor(gait.frequency / pendulum), "phase": firsts}
-        more = REFLEXES if balances else None
-        pace = (trial, control_dt, mutation_share, steps, pendulum)
-        super().__init__(num_robots, groups, *pace, fixed, least_speed, limit, more)
+        super().__init__(num_robots, groups, trials, pendulum, fixed, REFLEXES if balances else None)
         self.balances, self._length = balances, length
         self.register_buffer("pair_of", group, persistent=False)
         self.register_buffer("lagging", lag, persistent=False)
@@ -110,26 +99,20 @@ class Stepping(Evolution):
             drawn[name] *= torch.rand(count) >= NONE_AT_FIRST
         return drawn
 
-    def act(
-        self,
-        genes: Mapping[str, Tensor],
-        cycles: Tensor,
-        command: Tensor | None = None,
-        posture: Tensor | None = None,
-    ) -> Tensor:
+    def act(self, genes: Mapping[str, Tensor], cycles: Tensor, shown: Shown = NOTHING) -> Tensor:
         """Return the actions ``[B, A]`` of gaits; see :meth:`.Evolution.act`."""
         phase = cycles[:, None] + genes["phase"][:, self.pair_of] + self.lagging
         lead, lag, duty, softness = (genes[name][:, None] for name in ("lead", "lag", "duty", "softness"))
         way, lift = foot_way(phase + lead, duty), foot_height(phase + lag, softness)
         sway = genes["sway"] * torch.sin(2 * math.pi * (cycles + genes["sway_phase"]))
-        half, amount = self._steps_of(genes, command)
+        half, amount = self._steps_of(genes, shown.command)
         forward = genes["shift"][:, self.pair_of] + half[..., 0] * way
         side = half[..., 1] * way + amount * sway[:, None]
         up = genes["crouch"][:, None] + amount * genes["lift"][:, None] * lift
         if not self.balances:
             moved = torch.stack([forward, side, up - self.arc * forward.square()], dim=-1)
             return torch.einsum("nfd,fda->na", self._length * moved, self.joints)
-        if posture is None:
+        if (posture := shown.posture) is None:
             raise ValueError("Gaits with reflexes need the body's posture.")
         answer = reflexes(genes, posture - self._steady(genes, half, posture), lift, self.left)
         forward, side, up = (path + answer[..., k] for k, path in enumerate((forward, side, up)))

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from gctd3.data.evolution import Evolution
+from gctd3.data.trials import NOTHING, Shown, Trials
 from gctd3.robots.robot import Robot
 
 
@@ -24,12 +25,7 @@ class Swinging(Evolution):
         robot: The robot.
         num_robots: Number of robots.
         frequency: Lowest and highest frequency (Hz).
-        trial: Time for which a gait is tried (s).
-        control_dt: Control period (s).
-        mutation_share: Share of new gaits that descend from others.
-        steps: Control steps of the warm-up; ``None`` for one without an end.
-        limit: Control steps after which an episode ends though the robot has not fallen; ``None`` for no such limit.
-        least_speed: Speed below which a gait is less fit (m/s); ``None`` for the reward alone.
+        trials: How gaits are tried.
     """
 
     pair_of: Tensor
@@ -46,18 +42,7 @@ class Swinging(Evolution):
     RIVALS = 4
     SHOWN = 0.15
 
-    def __init__(
-        self,
-        robot: Robot,
-        num_robots: int,
-        frequency: Sequence[float],
-        trial: float,
-        control_dt: float,
-        mutation_share: float = 0.8,
-        steps: int | None = None,
-        limit: int | None = None,
-        least_speed: float | None = None,
-    ) -> None:
+    def __init__(self, robot: Robot, num_robots: int, frequency: Sequence[float], trials: Trials) -> None:
         partner = torch.from_numpy(robot.action_mirror[0])
         own = torch.arange(len(partner))
         # In each pair the joint that the robot lists first leads, and the other lags by half a period.
@@ -65,20 +50,13 @@ class Swinging(Evolution):
         leaders, pair_of = torch.unique(torch.minimum(own, partner), return_inverse=True)
         low, high = frequency
         genes = {"frequency": (low, high, False)}  # Hz
-        pace = (trial, control_dt, mutation_share, steps)
-        super().__init__(num_robots, len(leaders), *pace, least_speed=least_speed, limit=limit, genes=genes)
+        super().__init__(num_robots, len(leaders), trials, genes=genes)
         sign = torch.where(follows, torch.from_numpy(robot.action_mirror[1]), 1.0).float()
         self.register_buffer("pair_of", pair_of, persistent=False)
         self.register_buffer("lag", 0.5 * follows, persistent=False)
         self.register_buffer("sign", sign, persistent=False)
 
-    def act(
-        self,
-        genes: Mapping[str, Tensor],
-        cycles: Tensor,
-        command: Tensor | None = None,
-        posture: Tensor | None = None,
-    ) -> Tensor:
+    def act(self, genes: Mapping[str, Tensor], cycles: Tensor, shown: Shown = NOTHING) -> Tensor:
         """Return the actions ``[B, A]`` of gaits, which follow no command; see :meth:`.Evolution.act`."""
         offset, amplitude, phase = (genes[name][:, self.pair_of] for name in ("offset", "amplitude", "phase"))
         return self.sign * (offset + amplitude * torch.sin(2 * math.pi * (cycles[:, None] + phase + self.lag)))

@@ -44,6 +44,7 @@ class LibraryTask:
     backends: tuple[str, ...] = ("library",)
     abilities: frozenset[Ability] = frozenset()
     endless = False
+    time_limit = shown_command = shown_velocity = posture = None
 
     def __init__(
         self,

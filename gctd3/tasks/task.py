@@ -8,6 +8,7 @@ its abilities.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -16,8 +17,10 @@ from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
+from gctd3.tasks.posture import Posture
 from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.reward import Reward
+from gctd3.tasks.terms import Array
 
 MOST_FRAMES = 1000  # limit of frames stacked into an observation
 Ability = Literal["film", "export", "robustness", "mirror", "commands"]
@@ -51,6 +54,22 @@ class Task(Protocol):
     abilities: frozenset[Ability]
     endless: bool
     gait: GaitPattern | None
+
+    @property
+    def time_limit(self) -> int | None:
+        """Return the control steps after which an episode ends by itself; ``None`` where another library decides."""
+
+    @property
+    def shown_command(self) -> Callable[[Array], Array] | None:
+        """Return a function that reads a commanded velocity from observations; ``None`` for a task without one."""
+
+    @property
+    def shown_velocity(self) -> Callable[[Array], Array] | None:
+        """Return a function that reads how a robot moves from counters; ``None`` for a task without commands."""
+
+    @property
+    def posture(self) -> Posture | None:
+        """Return what shows the body's posture in observations; ``None`` where nothing does."""
 
     def reflection(self) -> Reflection:
         """Return the reflection of the task's observations and actions.

@@ -92,8 +92,9 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     setup.mirrors(settings.replay.mirror)
     # Imported late, so that --help and a wrong setting are answered at once.
     from gctd3.training.checkpoint import FOLDER
+    from gctd3.training.post_mortem import POST_MORTEM
     from gctd3.training.run_log import refuse_a_run
-    from gctd3.training.trainer import POST_MORTEM, Trainer
+    from gctd3.training.trainer import Trainer
     from gctd3.viz.film import check_film
 
     if settings.video:

@@ -22,32 +22,32 @@ from torchrl import torchrl_logger
 from tqdm import tqdm
 
 from gctd3.algorithms.base import Algorithm
-from gctd3.algorithms.imitation import Imitation
 from gctd3.config.build import again
 from gctd3.config.fields import in_yaml
 from gctd3.data.build_collector import build_collector
-from gctd3.data.demonstration import Demonstration
 from gctd3.data.evolution import Evolution
 from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
-from gctd3.data.gait_policy import ByClock, fittest_gait
+from gctd3.data.gait_policy import fittest_gait
 from gctd3.data.inline_collector import InlineCollector
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.data.replay import Replay
 from gctd3.envs.factory import EnvRecipe
 from gctd3.errors import NumericalError, RunError, TrainingError, WorkerError
 from gctd3.evaluation.rollout import evaluate
-from gctd3.files import new_directory, quoted, save_tree, write_manifest, write_text
+from gctd3.files import quoted, write_text
 from gctd3.setup.setup import Setup
 from gctd3.signals import StopRequest
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.training.announcements import figures
-from gctd3.training.checkpoint import STATE, Checkpoints, checked, fit
+from gctd3.training.checkpoint import Checkpoints, checked, fit
 from gctd3.training.confirmation import confirm, described, evaluation_env, measure
 from gctd3.training.device import pick_device
 from gctd3.training.diagnosis import why_given_up
+from gctd3.training.gait_imitation import GaitImitation
 from gctd3.training.give_up import Watch
 from gctd3.training.initial_networks import begin_from
+from gctd3.training.post_mortem import post_mortem
 from gctd3.training.progress import Counters, ProgressLine
 from gctd3.training.rng_state import load_random_state, random_state, seed_all
 from gctd3.training.run_log import RunLog
@@ -55,7 +55,6 @@ from gctd3.training.settings import TrainSettings
 from gctd3.viz.film import FPS, clip
 
 MOST_TIME = 0.03  # share of the wall-clock that checkpoints may take
-POST_MORTEM = "post_mortem"
 WARMUP_GAIT = "warmup_gait.json"  # what the warm-up's fittest gait reaches without a policy
 
 
@@ -94,7 +93,7 @@ class Trainer:
         self.algorithm, self.explorer = self._new_learner()
         mirror = MirrorAugmentation(setup.reflection, task.history) if setup.mirrors(settings.replay.mirror) else None
         self.replay = Replay(settings.replay, settings.algo.gamma, task.history, mirror, self.device)
-        self.demonstration = Demonstration(settings.replay.batch_size, self.replay.mirror, self.device)
+        self.gait_imitation = GaitImitation(settings, task, self.replay, self.device)
         recipe = EnvRecipe(task, env)
         self.collector = build_collector(settings.collector, recipe, settings.batch_steps, settings.seed, self.explorer)
         evaluated = settings.evaluation.episodes, settings.evaluation.seed
@@ -183,22 +182,27 @@ class Trainer:
         try:
             self._learn(line, seen)
         except NumericalError as error:
-            raise self._post_mortem(error, {"collected": self.collector.latest, **seen}) from error
+            latest = {"collected": self.collector.latest, **seen}
+            raise post_mortem(self.directory, error, self.counters, latest, self.state_dict()) from error
 
     def _learn(self, line: ProgressLine, seen: dict[str, TensorDictBase]) -> None:
         settings, now = self.settings, self.counters
-        demonstrates = self._demonstrates
+        demonstrates = self.gait_imitation.demonstrates(self.explorer)
         seen["collected"] = collected = self.collector.collect()
         check_collected(collected)
         if demonstrates:
-            self.demonstration.add(collected)
-        if (gait := self._shown_gait) is not None and gait.anew and isinstance(self.collector, InlineCollector):
+            self.gait_imitation.demonstration.add(collected)
+        gait = self.gait_imitation.shown_gait(self.explorer)
+        if gait is not None and gait.anew and isinstance(self.collector, InlineCollector):
             self.collector.begin_anew(collected)
         self.replay.extend(collected)
         metrics: dict[str, Tensor] = {}
         if not self.explorer.warming_up and self.replay.ready:
             if not self.algorithm.updates:
-                self._imitate()
+                difference = self.gait_imitation.begin(self.algorithm, self.explorer)
+                if difference is not None:
+                    alike = f"mean squared difference {difference:.1e}"
+                    tqdm.write(f"The policy begins as the warm-up's fittest gait ({alike}).")
             for _ in range(settings.batch_updates):
                 seen["batch"] = self.replay.sample()
                 metrics = self.algorithm.update(seen["batch"])
@@ -216,58 +220,12 @@ class Trainer:
         row = self._evaluate()
         self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
         line.evaluated(self._figures(row))
-        if self._tries_another_gait:
+        if not self._spent and self.gait_imitation.failed(self.algorithm, now.in_a_row, now.restarts):
             self._begin_again(line, "the policy that begins as the warm-up's fittest gait misses the conditions.")
         elif settings.stop_when.all_reached(row):
             now.promising = now.frames
         elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
             self._begin_again(line, f"no evaluation in {now.frames - now.promising:,} met all conditions.")
-
-    @property
-    def _tries_another_gait(self) -> bool:
-        """Return whether a gait that the actor has not learnt on from failed, and another one is to be looked for."""
-        settings, now, imitation = self.settings, self.counters, self.algorithm.imitation
-        if imitation is None or not imitation.critics_alone(self.algorithm.updates) or self._spent:
-            return False
-        # A policy that meets the conditions only sometimes counts as none in a row.
-        failed = settings.stop_when.evaluations is not None and now.in_a_row == 0
-        return failed and now.restarts < settings.imitation.retries
-
-    @property
-    def _shown_gait(self) -> Evolution | None:
-        """Return the gaits of the warm-up, while it lasts, if a policy without a clock is to learn the fittest one."""
-        settings, gait = self.settings, self.explorer.rhythm
-        asked = settings.imitation.updates and settings.init is None and self.setup.task.gait is None
-        return gait if asked and isinstance(gait, Evolution) and self.explorer.warming_up else None
-
-    @property
-    def _demonstrates(self) -> bool:
-        """Return whether robots follow the fittest gait from the next step on, for a policy without a clock."""
-        gait = self._shown_gait
-        return gait is not None and (gait.shows or gait.decides)
-
-    def _imitate(self) -> None:
-        """Let the actor begin as the fittest gait of the warm-up, if it is asked to."""
-        if isinstance(self.explorer.rhythm, Evolution) and self.explorer.rhythm.final:
-            self.demonstration.keep(self.explorer.rhythm.followers)
-        self._follow_gait()
-        imitation = self.algorithm.imitation
-        if imitation is not None:
-            rate, sample = self.settings.algo.learning_rate, imitation.sample or self.replay.sample
-            difference = imitation.begin(self.algorithm.actor, sample, rate)
-            self.algorithm.average_from_actor()
-            tqdm.write(f"The policy begins as the warm-up's fittest gait (mean squared difference {difference:.1e}).")
-
-    def _follow_gait(self) -> None:
-        """Let the algorithm imitate the warm-up's fittest gait, if it is asked to and one was tried."""
-        settings, gait, task = self.settings.imitation, self.explorer.rhythm, self.setup.task
-        if not settings.updates or self.settings.init is not None:
-            return
-        if len(self.demonstration):
-            sample = self.demonstration.sample
-            self.algorithm.imitation = Imitation(settings, lambda seen: seen["action"], sample)
-        elif task.gait is not None and isinstance(gait, Evolution) and gait.tried:
-            self.algorithm.imitation = Imitation(settings, ByClock(gait, cast(SimulatedTask, task)).action)
 
     def _begin_again(self, line: ProgressLine, why: str) -> None:
         """Begin again with new weights, an empty replay and a warm-up; keep the best policy and, inline, the robots."""
@@ -277,7 +235,7 @@ class Trainer:
         self._begin_from_a_run()
         self.collector.follow(self.explorer)
         self.replay.clear()
-        self.demonstration.clear()
+        self.gait_imitation.demonstration.clear()
         now.restarts, now.promising = now.restarts + 1, now.frames
         now.next_evaluation = now.frames + self._first_evaluation
 
@@ -395,7 +353,7 @@ class Trainer:
             "rows": self.log.rows,
             "algorithm": self.algorithm.state_dict(),
             "explorer": self.explorer.state_dict(),
-            "demonstration": self.demonstration.state_dict(),
+            "demonstration": self.gait_imitation.state_dict(),
             "collector": self.collector.state_dict(),
             "watch": self.watch.state_dict(),
             "random": random_state(self.device),
@@ -408,31 +366,14 @@ class Trainer:
         self.log.restore(state["rows"], self.counters.frames)
         self.algorithm.load_state_dict(state["algorithm"])
         self.explorer.load_state_dict(state["explorer"])
-        self.demonstration.load_state_dict(state.get("demonstration"))
+        self.gait_imitation.load_state_dict(state.get("demonstration"))
         if self.algorithm.updates:
-            self._follow_gait()
+            self.gait_imitation.follow(self.algorithm, self.explorer)
         self.collector.load_state_dict(state["collector"])
         self.watch.load_state_dict(state.get("watch"))
         load_random_state(state["random"], self.device)
         self._clock = time.monotonic()
         self._next_save = self._wall() + self.settings.checkpoint_every
-
-    def _post_mortem(self, error: NumericalError, seen: Mapping[str, TensorDictBase]) -> NumericalError:
-        """Save the data needed to find the cause, and return the error that says where they are."""
-        target = self.directory / POST_MORTEM
-        message = f"After {self.counters.frames:,} frames and {self.counters.updates:,} updates, {error}."
-        if target.exists():
-            return NumericalError(f"{message} {target} already holds the data of an earlier failure.")
-        with new_directory(target) as aside:
-            for name, batch in seen.items():
-                save_tree(aside / f"{name}.safetensors", batch.to_dict())
-            save_tree(aside / STATE, self.state_dict())
-            write_manifest(aside, {"error": message})
-        advice = "try a lower algo.learning_rate" if self.counters.updates else "look for it in the terms of the task"
-        return NumericalError(
-            f"{message} The last batch and the whole state are in {target} (gctd3.files.load_tree reads them). "
-            f"The newest checkpoint is of an earlier moment; {advice}."
-        )
 
     def _figures(self, row: Mapping[str, float]) -> dict[str, str]:
         best = self.best if self.best is not None else row

@@ -344,3 +344,30 @@ def test_default_settings_are_those_that_hydra_composes():
         settings = build(compose("config"))
     assert isinstance(settings, TrainSettings)
     assert build(in_yaml(settings)) == settings
+
+
+ROBOT = """# @package _global_
+defaults:
+  - {beginning}
+  - _self_
+robot:
+  name: quadruped
+task:
+  terminations:
+    long_contact: null
+"""
+
+
+def test_a_robots_yaml_begins_from_another_by_its_place(tmp_path, monkeypatch, capsys):
+    (tmp_path / "own" / "robot").mkdir(parents=True)
+    for name, beginning in {"mine": "/robot/biped@robot", "wrong": "biped"}.items():
+        (tmp_path / "own" / "robot" / f"{name}.yaml").write_text(ROBOT.format(beginning=beginning))
+    monkeypatch.chdir(tmp_path)
+    own = ["--config-dir=own", "--cfg", "job"]
+    assert command("train", *own, "robot=mine") == 0
+    shown = yaml.safe_load(capsys.readouterr().out)
+    assert (shown["robot"]["name"], shown["task"]["terminations"]["long_contact"]) == ("quadruped", None)
+    assert command("train", *own, "robot=wrong") == 2
+    assert "begins from another one by its place, as in '- /robot/biped@robot'" in capsys.readouterr().err
+    # What a command completes without a class of its own is no mistake.
+    assert command("export", "robot=quadruped", "out=quadruped.sdf", "--cfg", "job") == 0

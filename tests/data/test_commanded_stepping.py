@@ -8,6 +8,7 @@ import torch
 
 from gctd3.data.commanded_stepping import CommandedStepping
 from gctd3.data.foot_paths import foot_places
+from gctd3.data.trials import Shown, Trials
 from gctd3.robots.gait_pattern import GaitPattern, alternating_phases
 from gctd3.robots.settings import RobotSettings
 
@@ -23,7 +24,7 @@ def commanded(robot, robots=1, **genes):
     """Make gaits with factors of 1, without crouch, shift and sway, and with the given genes."""
     torch.manual_seed(0)
     gait = GaitPattern(FREQUENCY, alternating_phases(robot))
-    gaits = CommandedStepping(robot, robots, 0.1, 0.02, gait=gait)
+    gaits = CommandedStepping(robot, robots, Trials(0.1, 0.02), gait)
     plain = {"forward_gain": 1.0, "side_gain": 1.0, "turn_gain": 1.0, "crouch": 0.0, "shift": 0.0, "sway": 0.0}
     for name, value in (plain | {"lead": 0.0, "lag": 0.0} | genes).items():
         getattr(gaits, name).fill_(value)
@@ -37,7 +38,7 @@ def genes_of(gaits):
 def placed(robot, gaits, cycles, command):
     """Return where each foot is in the body's frame, by MuJoCo's kinematics, ``[feet, 3]`` (m)."""
     data = mujoco.MjData(robot.model)
-    action = gaits.act(genes_of(gaits), torch.tensor([float(cycles)]), torch.tensor([command]))[0].numpy()
+    action = gaits.act(genes_of(gaits), torch.tensor([float(cycles)]), Shown(torch.tensor([command])))[0].numpy()
     data.qpos[:] = robot.standing_qpos
     data.qpos[[robot.joint(name).qpos for name in robot.actuated]] += robot.action_map[1] * action
     mujoco.mj_kinematics(robot.model, data)
@@ -68,9 +69,9 @@ def test_feet_on_the_ground_move_against_the_body(quadruped, command):
 def test_a_robot_that_is_to_stand_keeps_its_feet_down(quadruped):
     gaits = commanded(quadruped, lift=0.3)
     for cycles in (0.0, 0.3, 0.6):
-        still = gaits.act(genes_of(gaits), torch.tensor([cycles]), torch.zeros(1, 3))
+        still = gaits.act(genes_of(gaits), torch.tensor([cycles]), Shown(torch.zeros(1, 3)))
         assert not still.any()
-        walks = gaits.act(genes_of(gaits), torch.tensor([cycles]), torch.tensor([[0.3, 0.0, 0.0]]))
+        walks = gaits.act(genes_of(gaits), torch.tensor([cycles]), Shown(torch.tensor([[0.3, 0.0, 0.0]])))
         assert walks.abs().max() > 0.01
 
 
@@ -104,7 +105,7 @@ def test_a_hard_command_does_not_make_a_gait_less_fit(quadruped):
     better[5] = 0.2
     command = torch.zeros(robots, 3)
     for step in range(5 * 6 + 1):
-        gaits(~nothing if step == 0 else nothing, returned, command=command)
+        gaits(~nothing if step == 0 else nothing, returned, shown=Shown(command))
         if step % 5 == 0:
             command = torch.rand(robots, 3, generator=generator) - 0.5
             # A trial's first action follows its command.
@@ -117,11 +118,11 @@ def test_a_hard_command_does_not_make_a_gait_less_fit(quadruped):
 
 def test_a_trial_that_the_time_limit_cuts_short_counts_as_no_fall(quadruped):
     torch.manual_seed(0)
-    gaits = CommandedStepping(quadruped, 2, 0.1, 0.02, limit=7)
+    gaits = CommandedStepping(quadruped, 2, Trials(0.1, 0.02, limit=7))
     begins, command = torch.ones(2, dtype=torch.bool), torch.tensor([[0.3, 0.0, 0.0]]).expand(2, 3)
     for step in range(8):
         now = begins if step == 0 else torch.tensor([step == 7, step == 3])
-        gaits(now, torch.full((2,), 0.1 * step) * ~now, command=command)
+        gaits(now, torch.full((2,), 0.1 * step) * ~now, shown=Shown(command))
     # The first one's trial of five steps ended, its second one was cut short; the other robot fell after three.
     assert float(gaits.results[0]) == pytest.approx(0.1)
     assert float(gaits.results[1]) < -0.9

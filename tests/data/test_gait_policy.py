@@ -9,6 +9,7 @@ from tensordict import TensorDict
 from gctd3.data.exploration import Explorer
 from gctd3.data.gait_policy import ByClock, fittest_gait
 from gctd3.data.settings import ExplorationSettings
+from gctd3.data.trials import Shown
 from gctd3.envs.simulation import Simulation
 from gctd3.nn import make_actor
 from gctd3.robots.settings import RobotSettings
@@ -31,7 +32,7 @@ def test_it_acts_by_what_is_observed():
     assert fittest_gait(gait, task) is None
     nothing, command = torch.zeros(ROBOTS, dtype=torch.bool), torch.tensor([[0.5, 0.1, -0.3]]).expand(ROBOTS, 3)
     for step in range(4):
-        gait(nothing, 0.1 * step * torch.rand(ROBOTS), command=command)
+        gait(nothing, 0.1 * step * torch.rand(ROBOTS), shown=Shown(command))
     policy = fittest_gait(gait, task)
     assert isinstance(policy, ByClock)
 
@@ -41,7 +42,7 @@ def test_it_acts_by_what_is_observed():
     memory = {**simulation.memory, VELOCITY: command.numpy().astype(float), PHASES: np.tile(phases, (ROBOTS, 1))}
     nodes = torch.from_numpy(task.node_features(simulation.now, memory))
     seen = TensorDict({"nodes": torch.cat([torch.zeros_like(nodes), nodes], dim=-1)}, [ROBOTS])
-    expected = gait.act(gait._fittest(ROBOTS), torch.full((ROBOTS,), 0.3 + 0.02 * 2.0), command).clamp(-1.0, 1.0)
+    expected = gait.act(gait._fittest(ROBOTS), torch.full((ROBOTS,), 0.3 + 0.02 * 2.0), Shown(command)).clamp(-1.0, 1.0)
     torch.testing.assert_close(policy(seen)["action"], expected, rtol=1e-4, atol=1e-4)
     # Without a clock the phase is not known.
     assert fittest_gait(gait, replace(settings, features=velocity_features()).build(RobotSettings("quadruped"))) is None

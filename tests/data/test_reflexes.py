@@ -14,6 +14,7 @@ from gctd3.data.foot_paths import foot_places, joint_paths
 from gctd3.data.reflexes import GENES, reflexes
 from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
+from gctd3.data.trials import Shown, Trials
 from gctd3.nn import make_actor
 from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.features import Sensed
@@ -150,7 +151,7 @@ def test_legs_with_few_joints_turn_no_sole():
 def balanced(robot, robots=4):
     task = WalkSettings().build(RobotSettings(str(robot.path), action_scale=0.5))
     torch.manual_seed(0)
-    return task, Stepping(robot, robots, 0.2, 0.02, balances=True)
+    return task, Stepping(robot, robots, Trials(0.2, 0.02), balances=True)
 
 
 def test_a_mirrored_posture_gets_the_mirrored_answer(humanoid):
@@ -162,8 +163,8 @@ def test_a_mirrored_posture_gets_the_mirrored_answer(humanoid):
     seen = torch.randn(4, len(task.graph.nodes), task.features * task.history)
     mirror = task.reflection().nodes(seen.shape[-1])
     reflected = torch.from_numpy(mirror.sign).float() * seen.flatten(1)[:, torch.from_numpy(mirror.source)]
-    now = gaits.act(genes, torch.full((4,), 0.3), None, task.posture(seen))
-    later = gaits.act(genes, torch.full((4,), 0.8), None, task.posture(reflected.reshape(seen.shape)))
+    now = gaits.act(genes, torch.full((4,), 0.3), Shown(posture=task.posture(seen)))
+    later = gaits.act(genes, torch.full((4,), 0.8), Shown(posture=task.posture(reflected.reshape(seen.shape))))
     order, sign = humanoid.action_mirror
     mirrored = torch.from_numpy(sign).float() * later[:, torch.from_numpy(order)]
     torch.testing.assert_close(now, mirrored, rtol=1e-3, atol=1e-3)
@@ -181,9 +182,9 @@ def test_in_the_steady_gait_speed_moves_nothing(humanoid):
     posture[:, 2] = 2 * genes["stride"] * hertz / genes["duty"] * math.sqrt(humanoid.leg_length / 9.81)
     calm = genes | {name: torch.zeros(4) for name in GENES}
     phase = torch.full((4,), 0.3)
-    torch.testing.assert_close(gaits.act(genes, phase, None, posture), gaits.act(calm, phase, None, posture))
-    faster = posture + 0.1 * torch.eye(6)[2]
-    assert not torch.allclose(gaits.act(genes, phase, None, faster), gaits.act(calm, phase, None, faster), atol=1e-3)
+    alike, faster = (Shown(posture=seen) for seen in (posture, posture + 0.1 * torch.eye(6)[2]))
+    torch.testing.assert_close(gaits.act(genes, phase, alike), gaits.act(calm, phase, alike))
+    assert not torch.allclose(gaits.act(genes, phase, faster), gaits.act(calm, phase, faster), atol=1e-3)
 
 
 def test_who_has_reflexes(humanoid):

@@ -10,7 +10,9 @@ from running import command, tiny
 from tensordict import TensorDict
 
 from gctd3.data.foot_paths import foot_height, foot_way
+from gctd3.data.gait_policy import OpenLoop
 from gctd3.data.stepping import Stepping
+from gctd3.data.trials import Trials
 from gctd3.envs.simulation import Simulation
 from gctd3.robots.gait_pattern import GaitPattern, alternating_phases
 from gctd3.robots.settings import RobotSettings
@@ -25,7 +27,7 @@ def quadruped():
 
 def stepping(robot, robots=4, trial=0.2):
     torch.manual_seed(0)
-    return Stepping(robot, robots, trial, 0.02)
+    return Stepping(robot, robots, Trials(trial, 0.02))
 
 
 def foot_places(robot, action):
@@ -101,7 +103,7 @@ def test_luck_does_not_stay(quadruped):
 
 def test_in_the_last_round_robots_try_what_they_remember(quadruped):
     torch.manual_seed(0)
-    gaits = Stepping(quadruped, 8, 0.04, 0.02, steps=20)
+    gaits = Stepping(quadruped, 8, Trials(0.04, 0.02, steps=20))
     position = torch.zeros(8)
     begins, nothing = torch.ones(8, dtype=torch.bool), torch.zeros(8, dtype=torch.bool)
     for step in range(20):
@@ -116,7 +118,7 @@ def test_the_last_round_is_between_the_fittest(quadruped, monkeypatch):
     """Robots share the fittest few gaits, and one that does well with all its robots wins over one that was lucky."""
     monkeypatch.setattr(Stepping, "FINALISTS", 2)
     torch.manual_seed(0)
-    gaits = Stepping(quadruped, 8, 0.04, 0.02, steps=10)
+    gaits = Stepping(quadruped, 8, Trials(0.04, 0.02, steps=10))
     nothing, returned = torch.zeros(8, dtype=torch.bool), torch.zeros(8)
     gaits(~nothing, returned)
     gaits.fitness.copy_(torch.tensor([0.1, 0.9, 0.2, 0.8, 0.3, 0.0, 0.0, 0.0]))
@@ -179,7 +181,7 @@ def test_gaits_that_evolve_walk(quadruped):
     ends = {"long_contact": None, "stuck_hip": None, "fall": Fall(height=None)}
     task = WalkingTask(quadruped, settings=WalkSettings(terminations={**paper_terminations(), **ends}))
     robots = 16
-    simulation, gaits = Simulation(task, robots, threads=1), Stepping(quadruped, robots, 2.0, 0.02)
+    simulation, gaits = Simulation(task, robots, threads=1), Stepping(quadruped, robots, Trials(2.0, 0.02))
     begins, fittest = torch.ones(robots, dtype=torch.bool), []
     simulation.reset(begins.numpy())
     returned = torch.zeros(robots)
@@ -198,13 +200,13 @@ def test_gaits_that_evolve_walk(quadruped):
 def test_the_fittest_gait_can_be_played_without_noise(quadruped):
     """Before a trial there is none; then its actions are those of the gait from the start of an episode."""
     gaits = stepping(quadruped, trial=0.04)
-    assert gaits.fittest(3) is None
+    assert not gaits.tried
     nothing = torch.zeros(4, dtype=torch.bool)
     gaits(torch.ones(4, dtype=torch.bool), torch.zeros(4))
     for step in range(1, 3):
         gaits(nothing, 0.01 * step * torch.tensor([0.0, 1.0, 3.0, 2.0]))
     assert int(gaits.fitness.argmax()) == 2
-    played = gaits.fittest(5)
+    played = OpenLoop(gaits.fittest_actions(5))
     genes = {name: getattr(gaits, f"best_{name}")[2:3] for name in gaits.GENES}
     cycle = 0.02 * gaits._unit * float(genes["frequency"])
     for step in range(1, 5):
@@ -226,7 +228,7 @@ def test_a_training_says_how_far_that_gait_gets(tmp_path, capsys):
 def clocked(robot, robots=8, trial=0.1):
     torch.manual_seed(0)
     pattern = GaitPattern(2.0, alternating_phases(robot))
-    return pattern, Stepping(robot, robots, trial, 0.02, gait=pattern)
+    return pattern, Stepping(robot, robots, Trials(trial, 0.02), pattern)
 
 
 def test_with_a_clock_all_gaits_keep_to_it(quadruped):
@@ -301,7 +303,7 @@ def test_the_fittest_action_is_that_of_its_time(quadruped):
     for step in range(1, 4):
         gaits(torch.zeros(8, dtype=torch.bool), 0.01 * step * torch.rand(8))
     assert gaits.tried
-    played = gaits.fittest(30)
+    played = OpenLoop(gaits.fittest_actions(30))
     listed = torch.stack([played(TensorDict({}, [1]))["action"][0] for _ in range(30)])
     phases = (torch.arange(30) * 0.02 * 2.0) % 1.0
     torch.testing.assert_close(gaits.fittest_action(phases), listed, rtol=1e-4, atol=1e-4)

@@ -6,13 +6,14 @@ import torch
 from robots import opposite_axes
 
 from gctd3.data.swinging import Swinging
+from gctd3.data.trials import Trials
 
 DT = 0.02
 
 
 def swinging(robot, robots=4, **settings):
     torch.manual_seed(0)
-    return Swinging(robot, robots, (1.4, 2.2), 0.1, DT, **settings)
+    return Swinging(robot, robots, (1.4, 2.2), Trials(0.1, DT, **settings))
 
 
 @pytest.fixture(scope="module", params=["biped", "opposite axes"])

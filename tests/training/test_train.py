@@ -204,7 +204,7 @@ def test_the_gait_is_shown_from_the_start_of_episodes(tmp_path):
     """Of 20 steps of four robots the last three are shown; before them all episodes are cut, as by a time limit."""
     train(tmp_path / "run", *IMITATING, "total_frames=80", "replay.storage=stacked", "replay.n_step=1")
     trainer = Recorded.last
-    assert len(trainer.demonstration) == 4 * 3
+    assert len(trainer.gait_imitation.demonstration) == 4 * 3
     stored = trainer.replay.buffer.torchrl[:].reshape(20, 4)
     # At 14 the last round of 6 begins; the winner is shown from 17 on, from a new start in each of three steps.
     for step in (13, 16, 17, 18):
