@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import ray
 from tensordict import TensorDictBase
 from torchrl.collectors.distributed import RayCollector
+from torchrl.weight_update import RayWeightSyncScheme
 
 from gctd3.data.worker import Job, Worker
 
@@ -17,6 +18,7 @@ class RayWorker(Worker):
     """Run a worker as one actor of a Ray cluster, which is joined already."""
 
     def __init__(self, job: Job) -> None:
+        self._scheme = RayWeightSyncScheme()
         self._collector = RayCollector(
             [job.make_env],
             job.policy,
@@ -25,6 +27,7 @@ class RayWorker(Worker):
             device="cpu",
             sync=True,
             trust_policy=True,
+            weight_sync_schemes={"policy": self._scheme},
             collector_kwargs=[{"auto_register_policy_transforms": False}],
             # The learner restarts it, with other seeds.
             remote_configs=[{"num_cpus": job.cpus, "num_gpus": 0, "max_restarts": 0}],
@@ -42,8 +45,11 @@ class RayWorker(Worker):
 
     def kill(self) -> None:
         """End the actor at once."""
-        # TorchRL's list of actors has to be empty: actors in it are killed again when the collector is deleted, and if
-        # Python is ending by then, Ray first starts another cluster for that, and waits forever.
+        # TorchRL's list of actors has to be empty, and its scheme shut down: what is left of them is killed again when
+        # they are deleted, and if Python is ending by then, Ray first starts another cluster for that, and waits
+        # forever.
+        with contextlib.suppress(Exception):
+            self._scheme.shutdown()
         actors = self._collector.remote_collectors
         while actors:
             with contextlib.suppress(Exception):  # there may be no cluster left to ask

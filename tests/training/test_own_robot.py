@@ -9,7 +9,7 @@ from gctd3.training.saved_configuration import load_settings
 
 MINE = """# @package _global_
 defaults:
-  - quadruped
+  - biped_planar
   - _self_
 robot:
   name: robot.xml
@@ -39,8 +39,9 @@ def test_options_stand_anywhere_among_the_settings(tmp_path, way):
     assert command("train", "algo=td3", *words, *tiny(tmp_path / "run", "robot=mine", "total_frames=80")) == 0
     settings = load_settings(tmp_path / "run")
     ends = settings.task.terminations
-    # A setting of its own, one of the quadruped's, and a default.
-    assert (ends["long_contact"].steps, ends["fall"].height, ends["finish"].distance) == (None, -0.2, 15.0)
+    # A setting of its own, one of the planar biped's, and a default.
+    tilt = settings.reward.terms["tilt"].weight
+    assert (ends["long_contact"].steps, tilt, ends["finish"].distance) == (None, -0.5, 15.0)
     assert settings.robot.name == "robot.xml" and settings.setup().robot.feet == ("leg_r", "leg_l")
     # The run holds the YAML's content, so the YAML may be missing.
     resume = f"resume={tmp_path / 'run'}"
@@ -54,11 +55,11 @@ def test_options_stand_anywhere_among_the_settings(tmp_path, way):
 
 @pytest.mark.nightly
 def test_another_robots_settings(tmp_path):
-    assert answered("train", *tiny(tmp_path / "run", "robot=quadruped", "robot.name=robot.xml")) == 0
+    assert answered("train", *tiny(tmp_path / "run", "robot=biped_planar", "robot.name=robot.xml")) == 0
     settings = load_settings(tmp_path / "run")
-    assert settings.robot.name == "robot.xml" and settings.task.terminations["long_contact"].steps == 50
+    assert settings.robot.name == "robot.xml" and settings.reward.terms["tilt"].weight == -0.5
     assert answered("train", *tiny(tmp_path / "plain", "robot=robot.xml")) == 0
-    assert load_settings(tmp_path / "plain").task.terminations["long_contact"].steps == 40
+    assert "tilt" not in load_settings(tmp_path / "plain").reward.terms
 
 
 def test_what_is_no_setting_is_still_refused(tmp_path, capsys):

@@ -140,7 +140,7 @@ def test_no_stranger_is_imported_unless_it_is_allowed(tmp_path, monkeypatch, cap
 def test_a_command_line_may_name_modules_of_ones_own(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(STRANGER.format(marker=str(tmp_path / "marker")))
     monkeypatch.syspath_prepend(str(tmp_path))
-    trained = train(tmp_path / "run", "algo._target_=mine.Settings")
+    trained = train(tmp_path / "run", "recipe=none", "algo._target_=mine.Settings")
     assert load_settings(trained).algo == sys.modules.pop("mine").Settings(privileged_critic=True)
 
 
