@@ -12,6 +12,7 @@ import os
 import secrets
 import shlex
 import shutil
+import stat
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -75,6 +76,7 @@ def load_tree(path: Path) -> Any:  # noqa: ANN401
     from safetensors import SafetensorError, safe_open
 
     try:
+        check_regular(path)
         with safe_open(str(path), framework="pt") as file:
             structure = json.loads((file.metadata() or {})[TREE])
             return _unpack(structure, file)
@@ -272,6 +274,7 @@ def read_manifest(directory: Path) -> dict[str, Any]:
     """
     path = directory / MANIFEST
     try:
+        check_regular(path)
         whole = json.loads(path.read_text(encoding="utf-8"))
         content: dict[str, Any] = whole["content"]
         if not isinstance(content, dict):
@@ -281,6 +284,13 @@ def read_manifest(directory: Path) -> dict[str, Any]:
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise RunError(f"{path} cannot be read: {error}") from error
     return content
+
+
+def check_regular(path: Path) -> None:
+    """Raise an :class:`OSError` for a pipe, a socket or a device, which may make whoever reads it wait forever."""
+    mode = path.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
 
 
 def seal(content: Mapping[str, Any]) -> str:
@@ -301,6 +311,7 @@ def check_file(path: Path, expected: str) -> None:
 def checksum(path: Path) -> str:
     """Compute the SHA-256 checksum of a file."""
     digest = hashlib.sha256()
+    check_regular(path)
     with path.open("rb") as file:
         while block := file.read(BLOCK):
             digest.update(block)

@@ -14,7 +14,7 @@ import numpy as np
 
 from gctd3.errors import GCTD3Error, RunError
 from gctd3.evaluation.settings import EpisodeSettings
-from gctd3.files import MANIFEST, OWN_ROBOT, read_manifest, unwritable
+from gctd3.files import MANIFEST, OWN_ROBOT, check_regular, read_manifest, unwritable
 from gctd3.progress import tracked
 from gctd3.runs.evaluate import EVALUATION, ROBUSTNESS, TRACE, evaluate_run
 from gctd3.runs.settings import EvaluateSettings
@@ -264,6 +264,7 @@ def _rows(file: Path, hint: str) -> list[dict[str, float]]:
     """
     line, rows = 1, []
     try:
+        check_regular(file)
         lines = csv.reader(file.read_text(encoding="utf-8").splitlines())
         head = next(lines, [])
         for cells in filter(None, lines):
@@ -271,6 +272,6 @@ def _rows(file: Path, hint: str) -> list[dict[str, float]]:
             if len(cells) != len(head):
                 raise ValueError(f"{len(cells)} cells under {len(head)} columns")
             rows.append({key: float(text or "nan") for key, text in zip(head, cells, strict=True)})
-    except (ValueError, csv.Error) as error:
+    except (ValueError, OSError, csv.Error) as error:
         raise RunError(f"{file} cannot be read: line {line}, {error}; {hint}.") from error
     return rows

@@ -15,7 +15,7 @@ from torchrl.record.loggers import Logger, get_logger
 from torchrl.record.loggers.mlflow import MLFlowLogger
 
 from gctd3.errors import ConfigError, RunError
-from gctd3.files import quoted, write_text
+from gctd3.files import check_regular, quoted, write_text
 from gctd3.training.checkpoint import FOLDER
 from gctd3.training.stop_when import COLUMNS
 from gctd3.viz.film import gif, write_animation
@@ -99,6 +99,7 @@ class RunLog:
         self._write()
         if self.kind == "csv":
             for file in (self.directory / "csv").rglob("*.csv"):
+                check_regular(file)
                 lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
                 kept = [line for line in lines if line.endswith("\n") and _step(line) <= frames]
                 write_text(file, "".join(kept))

@@ -21,7 +21,7 @@ from gctd3.config.build import MODULES, build
 from gctd3.config.command_line import chooses, ships
 from gctd3.config.paths import escaped
 from gctd3.errors import ConfigError, RunError
-from gctd3.files import write_text
+from gctd3.files import check_regular, write_text
 
 if TYPE_CHECKING:
     from gctd3.training.settings import TrainSettings
@@ -233,6 +233,7 @@ def command_line(run: Path) -> list[str]:
         RunError: If the run does not say.
     """
     try:
+        check_regular(run / OVERRIDES)
         items = OmegaConf.load(run / OVERRIDES)
         if not isinstance(items, ListConfig):
             raise TypeError("it does not hold a list")

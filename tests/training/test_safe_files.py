@@ -12,11 +12,13 @@ from pathlib import Path
 
 import pytest
 import torch
+from fuzzing import answered, time_limit
 from omegaconf import OmegaConf
 from running import command, tiny, train
 
 import gctd3
 from gctd3 import files
+from gctd3.comparison.runs import find_runs
 from gctd3.config.build import again, packages
 from gctd3.errors import RunError
 from gctd3.files import (
@@ -31,7 +33,7 @@ from gctd3.files import (
 )
 from gctd3.runs.load import load_policy
 from gctd3.training.checkpoint import Checkpoints
-from gctd3.training.saved_configuration import load_settings
+from gctd3.training.saved_configuration import command_line, load_settings
 
 
 class Evil:
@@ -383,3 +385,47 @@ def test_a_directory_whose_writing_fails_leaves_nothing(tmp_path):
         (aside / "torn").write_text("half")
         raise OSError("full")
     assert not list(tmp_path.iterdir())
+
+
+def use(way, run):
+    """Use a run in one way; return the refusal, or what is false if there is none."""
+    try:
+        return way(run)
+    except RunError as error:
+        return str(error)
+
+
+WAYS = [
+    lambda run: load_policy(run) and None,
+    lambda run: load_settings(run) and None,
+    lambda run: Checkpoints(run).newest() and None,
+    lambda run: find_runs(run) and None,
+    lambda run: answered("train", f"resume={run}", "total_frames=400"),
+]
+
+
+def put_pipe(run, name):
+    (run / name).unlink()
+    os.mkfifo(run / name)
+
+
+def test_a_pipe_is_not_waited_for(tmp_path, finished):
+    run = finished.copy("gctd3", tmp_path / "run")
+    put_pipe(run, ".hydra/overrides.yaml")
+    with time_limit(), pytest.raises(RunError, match="it is not a regular file"):
+        command_line(run)
+    with time_limit(), pytest.raises(OSError, match="it is not a regular file"):
+        checksum(run / ".hydra/overrides.yaml")
+
+
+@pytest.mark.nightly
+def test_a_pipe_in_the_place_of_any_file_of_a_run_is_not_waited_for(tmp_path, finished):
+    whole, refused = finished["gctd3"], set()
+    for name in [path.relative_to(whole) for path in whole.rglob("*") if path.is_file() and path.name != ".lock"]:
+        run = finished.copy("gctd3", tmp_path / "run")
+        put_pipe(run, name)
+        with time_limit():
+            if any([use(way, run) for way in WAYS]):
+                refused.add(name.name)
+        shutil.rmtree(run)
+    assert {"config.yaml", "overrides.yaml", "policy.safetensors", "state.safetensors", "manifest.json"} <= refused
