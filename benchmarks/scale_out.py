@@ -28,9 +28,9 @@ from common import options, report
 from gait_table import RETURN, passes, read_progress
 from hydra import compose, initialize_config_module
 from tensordict import TensorDict
-from tqdm import tqdm
 
 from gctd3.config.build import build
+from gctd3.training.progress import ProgressLine
 from gctd3.training.trainer import Trainer
 
 CORES = (10, 100, 1000)
@@ -101,13 +101,13 @@ def measure(collector: str, workers: int, seconds: float, more: list[str]) -> Ra
     settings.check_here()
     with tempfile.TemporaryDirectory() as directory:
         trainer = Trainer(settings, Path(directory))
-        bar = tqdm(disable=True)
+        line = ProgressLine(settings.total_frames, 0)
 
         def collect() -> float:
             return float(trainer.collector.collect().numel())
 
         def train() -> float:
-            trainer._iterate(bar)
+            trainer._iterate(line)
             return settings.batch_frames
 
         def learn() -> float:

@@ -6,6 +6,7 @@ import contextlib
 import queue
 import signal
 from collections.abc import Iterator
+from multiprocessing import resource_tracker
 from typing import Any
 
 import torch
@@ -36,6 +37,8 @@ def _signals_ignored_by_children() -> Iterator[None]:
     The learner tells its workers when to end. Signals that this thread blocks reach another
     thread of the process.
     """
+    # Python's own helper process would be started with the first child, and that unblocks them.
+    resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
