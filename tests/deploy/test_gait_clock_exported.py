@@ -13,8 +13,7 @@ from gctd3.runs.load import load_run
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     run = tmp_path_factory.mktemp("clock") / "run"
-    clock = "+task.features.clock._target_=gctd3.GaitClock"
-    assert command("train", *tiny(run, "robot=quadruped", "robot.action_scale=0.3", clock)) == 0
+    assert command("train", *tiny(run, "robot=quadruped", "robot.action_scale=0.3")) == 0
     assert command("export", f"run={run}", f"out={run / 'policy.onnx'}", "episodes=2") == 0
     return run
 
