@@ -19,10 +19,11 @@ class ImitationSettings:
 
     A policy that observes a clock (:class:`.GaitClock`) acts as the gait does at that time; one that observes none
     learns from what robots observed and did in the warm-up's last round, which collectors in other processes do not
-    record.
+    record. A policy that begins as that of another run (``init``) is held to that one instead.
 
     Attributes:
-        updates: Updates of the actor towards the gait, before the first one of the critics; 0 for no imitation.
+        updates: Updates of the actor towards the gait, before the first one of the critics; 0 for no imitation. A
+            policy of another run needs none of them, but is held to only if there are some.
         initial_learning_rate: Learning rate at the first of these updates, from which it falls linearly to 0, so that
             the last batches are not followed more than the others; ``None`` for the algorithm's, which stays.
         retries: Times that the training begins again, with a new warm-up, when a policy that still is the gait misses

@@ -1,11 +1,14 @@
-"""Let an actor begin as the warm-up's fittest gait, and tell when another gait is to be looked for."""
+"""Hold an actor to what it begins as: the warm-up's fittest gait, or the policy of another run."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.algorithms.base import Algorithm
 from gctd3.algorithms.imitation import Imitation
@@ -23,7 +26,8 @@ class GaitImitation:
     """Let the algorithm of a training imitate the fittest gait of the warm-up, if its settings ask for it.
 
     A policy with a clock imitates the gait at every observation of the replay. One without a clock learns it from what
-    robots observe and do while they follow it.
+    robots observe and do while they follow it. A policy that begins as that of another run is held to that policy, so
+    that critics, which first have to learn what is new, do not make it forget to walk.
 
     Args:
         settings: Settings of the training.
@@ -35,12 +39,16 @@ class GaitImitation:
     def __init__(self, settings: TrainSettings, task: Task, replay: Replay, device: torch.device) -> None:
         self.settings, self.task, self.replay = settings, task, replay
         self.demonstration = Demonstration(settings.replay.batch_size, replay.mirror, device)
-        # Networks that begin as another run's have learnt more than a gait.
-        self._asked = bool(settings.imitation.updates) and settings.init is None
+        self._asked = bool(settings.imitation.updates)
+        self._initial: TensorDictModuleBase | None = None
+
+    def remember(self, algorithm: Algorithm) -> None:
+        """Take the policy as it is now, that of another run, as what the actor is held to."""
+        self._initial = algorithm.policy() if self._asked else None
 
     def shown_gait(self, explorer: Explorer) -> Evolution | None:
         """Return the gaits of the warm-up, while it lasts, if a policy without a clock is to learn the fittest one."""
-        gait, asked = explorer.rhythm, self._asked and self.task.gait is None
+        gait, asked = explorer.rhythm, self._asked and self._initial is None and self.task.gait is None
         return gait if asked and isinstance(gait, Evolution) and explorer.warming_up else None
 
     def demonstrates(self, explorer: Explorer) -> bool:
@@ -49,7 +57,7 @@ class GaitImitation:
         return gait is not None and (gait.shows or gait.decides)
 
     def begin(self, algorithm: Algorithm, explorer: Explorer) -> float | None:
-        """Let the actor act as the fittest gait of the warm-up.
+        """Let the actor act as the fittest gait of the warm-up, unless it began as the policy of another run.
 
         Returns:
             The mean squared difference of their actions; ``None`` where no gait is imitated.
@@ -58,7 +66,7 @@ class GaitImitation:
             self.demonstration.keep(explorer.rhythm.followers)
         self.follow(algorithm, explorer)
         imitation = algorithm.imitation
-        if imitation is None:
+        if imitation is None or self._initial is not None:
             return None
         sample = imitation.sample or self.replay.sample
         difference = imitation.begin(algorithm.actor, sample, self.settings.algo.learning_rate)
@@ -66,11 +74,13 @@ class GaitImitation:
         return difference
 
     def follow(self, algorithm: Algorithm, explorer: Explorer) -> None:
-        """Let the algorithm's updates imitate the gait, as far as they do; needed again in a resumed training."""
+        """Let the algorithm's updates imitate the gait or policy; needed again in a resumed training."""
         settings, gait, task = self.settings.imitation, explorer.rhythm, self.task
         if not self._asked:
             return
-        if len(self.demonstration):
+        if self._initial is not None:
+            algorithm.imitation = Imitation(settings, partial(_action, self._initial))
+        elif len(self.demonstration):
             algorithm.imitation = Imitation(settings, _demonstrated, self.demonstration.sample)
         elif task.gait is not None and isinstance(gait, Evolution) and gait.tried:
             algorithm.imitation = Imitation(settings, ByClock(gait, cast(SimulatedTask, task)).action)
@@ -84,19 +94,36 @@ class GaitImitation:
             restarts: Gaits that failed before.
         """
         settings, imitation = self.settings, algorithm.imitation
-        if imitation is None or not imitation.critics_alone(algorithm.updates):
+        if imitation is None or self._initial is not None or not imitation.critics_alone(algorithm.updates):
             return False
         # A policy that meets the conditions only sometimes counts as none in a row.
         fails = settings.stop_when.evaluations is not None and in_a_row == 0
         return fails and restarts < settings.imitation.retries
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what robots that followed a gait observed and did."""
-        return self.demonstration.state_dict()
+        """Return what robots that followed a gait observed and did, and the policy of another run."""
+        initial = {} if self._initial is None else {"initial": dict(self._initial.state_dict())}
+        return {**self.demonstration.state_dict(), **initial}
 
-    def load_state_dict(self, state: dict[str, Any] | None) -> None:
-        """Restore what :meth:`state_dict` returned; ``None`` for nothing."""
+    def load_state_dict(self, state: dict[str, Any] | None, algorithm: Algorithm) -> None:
+        """Restore what :meth:`state_dict` returned; ``None`` for nothing.
+
+        Args:
+            state: The state.
+            algorithm: The algorithm, whose policy is of the kind of the other run's.
+        """
         self.demonstration.load_state_dict(state)
+        if state is not None and "initial" in state:
+            self.remember(algorithm)
+            if self._initial is not None:
+                self._initial.load_state_dict(state["initial"])
+
+
+@torch.no_grad()
+def _action(policy: TensorDictModuleBase, seen: TensorDictBase) -> torch.Tensor:
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        action: torch.Tensor = policy(seen.select(*policy.in_keys).to("cpu"))["action"]
+    return action
 
 
 def _demonstrated(seen: TensorDictBase) -> torch.Tensor:

@@ -124,6 +124,7 @@ class Trainer:
         """Copy the networks of the run that ``init`` names, if it names one."""
         if self.settings.init is not None:
             frames = begin_from(self.algorithm, Path(self.settings.init), self.setup)
+            self.gait_imitation.remember(self.algorithm)
             print(f"Networks begin as {quoted(self.settings.init)} had them after {frames:,} frames.", flush=True)
 
     @property
@@ -366,7 +367,7 @@ class Trainer:
         self.log.restore(state["rows"], self.counters.frames)
         self.algorithm.load_state_dict(state["algorithm"])
         self.explorer.load_state_dict(state["explorer"])
-        self.gait_imitation.load_state_dict(state.get("demonstration"))
+        self.gait_imitation.load_state_dict(state.get("demonstration"), self.algorithm)
         if self.algorithm.updates:
             self.gait_imitation.follow(self.algorithm, self.explorer)
         self.collector.load_state_dict(state["collector"])

@@ -46,6 +46,36 @@ def test_restarts_begin_from_them_too(tmp_path, finished):
     assert Watched.begun >= 2
 
 
+HELD = ["imitation.updates=1", "exploration.learning_starts=20", "algo.learning_rate=0.01"]
+
+
+def test_critics_learn_what_is_new_before_the_policy_does(tmp_path, finished):
+    given, held = finished["gctd3"], [*HELD, "imitation.critics_first=1_000_000"]
+    assert command("train", *tiny(tmp_path / "run", *held, f"init={given}", "seed=7")) == 0
+    before, after = networks(given), networks(tmp_path / "run")
+    same = {name: torch.equal(values, after[name]) for name, values in before.items() if torch.is_tensor(values)}
+    assert all(equal for name, equal in same.items() if "actor" in name and "target" not in name)
+    trained = [name for name in same if name.startswith("qvalue_network_params.") and name.endswith("weight")]
+    assert trained and not any(same[name] for name in trained)
+
+
+@pytest.mark.nightly
+def test_a_policy_is_held_to_the_one_that_it_began_as(tmp_path, finished):
+    given, away = finished["gctd3"], {}
+    seen = TensorDict({"nodes": torch.randn(50, 8, 10)}, [50])
+    first = load_run(given).policy()(seen.clone())["action"]
+    for weight in (0, 1000):
+        held = [*HELD, "imitation.critics_first=0", f"imitation.weight={weight}", "imitation.fade=1_000_000"]
+        assert command("train", *tiny(tmp_path / str(weight), *held, f"init={given}", "seed=7")) == 0
+        state = networks(tmp_path / str(weight))
+        run = load_run(tmp_path / str(weight))
+        algorithm = run.settings.algo.build(run.setup.architecture())
+        algorithm.loss.load_state_dict(state)
+        with torch.no_grad():
+            away[weight] = float((algorithm.actor(seen.clone())["action"] - first).square().mean())
+    assert away[1000] < 0.2 * away[0]
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

@@ -99,6 +99,18 @@ def test_stopped_while_it_imitates_a_gait_without_a_clock(tmp_path, capsys, fram
 
 
 @pytest.mark.nightly
+def test_stopped_while_it_is_held_to_the_policy_of_another_run(tmp_path, finished):
+    """The other run need not be there any more."""
+    other = finished.copy("gctd3", tmp_path / "other")
+    settings = [f"init={other}", "imitation.updates=1", "imitation.critics_first=2"]
+    whole = train(tmp_path / "whole", *settings)
+    part = stopped(tmp_path / "part", 128, *settings)
+    shutil.rmtree(other)
+    assert command("train", f"resume={part}") == 0
+    assert_same_run(whole, part)
+
+
+@pytest.mark.nightly
 @pytest.mark.parametrize("storage", ["frames", "stacked"])
 def test_stopped_after_it_had_begun_again(tmp_path, storage):
     never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=80", "exploration.learning_starts=40"]
