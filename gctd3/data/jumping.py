@@ -1,0 +1,359 @@
+"""Jumps that evolve during the warm-up: lists of poses through which all legs go, for each commanded height its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gctd3.data.evolution import Evolution, OpenLoop
+from gctd3.errors import ConfigError
+from gctd3.robots.robot import Robot
+from gctd3.robots.sole_heights import SoleHeights
+
+POSES = 6  # between the standing pose at the beginning and at the end
+TUCKED = (3, 4)  # of them, in which legs are drawn up at first
+SAMPLES = 4096  # of actions, among which that is sought which draws a leg up
+AWAY = 0.05  # share of a leg's length that an action of a joint away from standing has to gain
+TIMES = ((0.2, 0.5), (0.05, 0.12))  # shortest and longest time to the first pose, and between poses (s)
+
+
+class Jumping(Evolution):
+    """Generate open-loop jumps that evolve: a crouch, and a few poses after it at equal times, joined by lines.
+
+    Left and right legs do the same. The only knowledge of jumping in it is that a robot begins and ends as it stands.
+    A jump is tried for a whole episode, and its fitness is the episode's return, less a penalty if the robot falls.
+
+    Each commanded height has a normal distribution of jumps of its own, which evolves by the separable CMA-ES (Ros &
+    Hansen 2008, doi 10.1007/978-3-540-87700-4_30), a generation of about as many jumps as robots have the height in
+    the time of an episode. In the last round robots try the fittest few of each height again, from their random
+    starts, and the best one by the mean wins.
+
+    Args:
+        robot: The robot.
+        num_robots: Number of robots.
+        levels: Commanded heights, rising, ``L`` of them (m).
+        frequency: Frequency of the clock, which begins anew with each episode (Hz).
+        control_dt: Control period (s).
+        steps: Control steps of the warm-up; ``None`` for one without an end.
+        limit: Control steps after which an episode ends though the robot has not fallen.
+    """
+
+    levels: Tensor
+    home: Tensor
+    pair_of: Tensor
+    like: Tensor
+    sign: Tensor
+    level: Tensor
+    slot: Tensor
+    tried_now: Tensor
+    mean: Tensor
+    spread: Tensor
+    size: Tensor
+    path: Tensor
+    size_path: Tensor
+    elite: Tensor
+    elite_fitness: Tensor
+    total: Tensor
+    count: Tensor
+    result: Tensor
+    result_level: Tensor
+    results: Tensor
+    filled: Tensor
+    evolved: Tensor
+
+    BEGIN = 0.3  # for which the robot stands first (s)
+    SPREAD = 0.5  # standard deviation of the first poses about the standing one (actions)
+    APART = 0.2  # the same of what legs that stand alike do differently
+    NOISE = 0.02  # a jump is over before noise averages out
+    FALL = 3.0  # return
+    OUTSIDE = 1.0  # return, by which the mean square of what is beyond the range of actions lowers the fitness
+    LAST_ROUND = 0.15
+    INJECTED = 0.1  # share of new jumps that are the fittest one of any height
+    FEWEST = 6  # results of a level by which its distribution evolves
+
+    def __init__(
+        self,
+        robot: Robot,
+        num_robots: int,
+        levels: Sequence[float],
+        frequency: float,
+        control_dt: float,
+        steps: int | None,
+        limit: int,
+    ) -> None:
+        partner = torch.from_numpy(robot.action_mirror[0])
+        own = torch.arange(len(partner))
+        follows = own > partner
+        leaders, pair_of = torch.unique(torch.minimum(own, partner), return_inverse=True)
+        super().__init__(num_robots, len(leaders), 1.0, control_dt, 0.0, steps, frequency, limit=limit)
+        centre, scale = robot.action_map
+        names = [joint.name for joint in robot.joints]
+        standing = robot.home_angles[[names.index(name) for name in robot.actuated]]
+        home = torch.from_numpy(np.clip((standing - centre) / scale, -1.0, 1.0)).float()[leaders]
+        like = pair_of[_places(robot)][leaders]
+        sign = torch.where(follows, torch.from_numpy(robot.action_mirror[1]), 1.0).float()
+        constants = {"levels": torch.tensor(list(levels)), "home": home, "pair_of": pair_of, "like": like, "sign": sign}
+        for name, values in constants.items():
+            self.register_buffer(name, values, persistent=False)
+        kinds, pairs = len(levels), len(leaders)
+        apart = (like != torch.arange(pairs)).repeat(POSES)
+        tuck = _tuck(robot)[leaders]
+        first = torch.where(apart, 0.0, torch.cat([tuck if i in TUCKED else home for i in range(POSES)]))
+        length = len(TIMES) + len(first)
+        spread = torch.cat([torch.full((len(TIMES),), self.SPREAD), torch.where(apart, self.APART, self.SPREAD)])
+        state = {
+            "level": torch.zeros(num_robots, dtype=torch.int64),
+            "slot": torch.full((num_robots,), -1, dtype=torch.int64),
+            "tried_now": torch.zeros(num_robots, length),
+            "mean": torch.cat([torch.zeros(len(TIMES)), first]).expand(kinds, -1).clone(),
+            "spread": spread.square().expand(kinds, -1).clone(),  # variances
+            "size": torch.ones(kinds),
+            "path": torch.zeros(kinds, length),
+            "size_path": torch.zeros(kinds, length),
+            "elite": torch.zeros(kinds, self.FINALISTS, length),
+            "elite_fitness": torch.full((kinds, self.FINALISTS), -math.inf),
+            "total": torch.zeros(kinds, self.FINALISTS),
+            "count": torch.zeros(kinds, self.FINALISTS),
+            # Jumps and results since the last generation, filled from the beginning.
+            "results": torch.zeros(4 * num_robots, length),
+            "result": torch.zeros(4 * num_robots),
+            "result_level": torch.zeros(4 * num_robots, dtype=torch.int64),
+            "filled": torch.zeros((), dtype=torch.int64),
+            "evolved": torch.zeros((), dtype=torch.int64),  # control steps until the last generation
+        }
+        for name, values in state.items():
+            self.register_buffer(name, values)
+
+    def poses(self, jumps: Tensor, time: Tensor) -> Tensor:
+        """Return the actions ``[B, A]`` of jumps ``[B, D]`` at times ``[B]`` (s)."""
+        low, high = torch.tensor(TIMES).T
+        crouch, spacing = (low + (high - low) * (jumps[:, : len(TIMES)].clamp(-1.0, 1.0) + 1.0) / 2).T
+        own = jumps[:, len(TIMES) :].reshape(len(jumps), POSES, -1)
+        # What a leg does differently from the one that is like it.
+        poses = torch.where(self.like == torch.arange(len(self.like)), own, own[..., self.like] + own).clamp(-1.0, 1.0)
+        home = self.home.expand(len(jumps), 1, -1)
+        poses = torch.cat([home, poses, home], dim=1)
+        at = self.BEGIN + crouch[:, None] + spacing[:, None] * torch.arange(POSES + 1)
+        at = torch.cat([torch.full_like(at[:, :1], self.BEGIN), at], dim=1)
+        now = ((time[:, None] >= at).sum(dim=1, keepdim=True) - 1).clamp(0, POSES)
+        begin, end = at.gather(1, now), at.gather(1, now + 1)
+        share = ((time[:, None] - begin) / (end - begin)).clamp(0.0, 1.0)
+        wide = now[..., None].expand(-1, 1, poses.shape[-1])
+        pose = torch.lerp(poses.gather(1, wide)[:, 0], poses.gather(1, wide + 1)[:, 0], share)
+        return self.sign * pose[:, self.pair_of]
+
+    def forward(
+        self,
+        is_init: Tensor,
+        returned: Tensor,
+        position: Tensor | None = None,
+        command: Tensor | None = None,
+        posture: Tensor | None = None,
+    ) -> Tensor:
+        """Return the actions ``[robots, A]`` of the next step; see :meth:`.Evolution.forward`.
+
+        Args:
+            is_init: Robots whose episode begins, bool ``[robots]``.
+            returned: Sum of the episode's rewards so far, ``[robots]``.
+            position: Distance walked, which does not count.
+            command: Commanded height, ``[robots, 1]`` (m).
+            posture: The body's posture, which does not count.
+        """
+        if command is None:
+            raise ValueError("Jumps need the commanded height.")
+        ended = is_init | (self.age < 0)
+        if ended.any():
+            self._take_in(ended & (self.age > 0))
+            if int(self.taken - self.evolved) >= self._limit:
+                self._evolve()
+            self.level.copy_(torch.where(ended, self._level_of(command), self.level))
+            self._begin_jumps(ended)
+            self.age.copy_(torch.where(ended, 0, self.age))
+        self.last.copy_(returned)
+        self.age += 1
+        self.taken += 1
+        # As by the clock that policies observe: the time at the end of the step.
+        action = self.poses(self.tried_now, self._dt * self.age)
+        return (action + self.NOISE * torch.randn_like(action)).clamp(-1.0, 1.0)
+
+    def _level_of(self, command: Tensor) -> Tensor:
+        """Return the number of the nearest level of each command ``[*, 1]``, ``[*]``."""
+        return (command - self.levels).abs().argmin(dim=-1)
+
+    def _take_in(self, ended: Tensor) -> None:
+        """Take in the returns of the jumps that have ended, bool ``[robots]``."""
+        robots = ended.nonzero()[:, 0]
+        level, slot = self.level[robots], self.slot[robots]
+        # The last step's reward is not known; a fall is known by the time.
+        result = self.last[robots] - self.FALL * (self.age[robots] < self._limit)
+        final = slot >= 0
+        place = level[final], slot[final]
+        self.total.index_put_(place, result[final], accumulate=True)
+        self.count.index_put_(place, torch.ones_like(result[final]), accumulate=True)
+        begin = int(self.filled)
+        new = (~final).nonzero()[:, 0][: len(self.result) - begin]
+        into = slice(begin, begin + len(new))
+        self.results[into], self.result[into] = self.tried_now[robots[new]], result[new]
+        self.result_level[into] = level[new]
+        self.filled += len(new)
+
+    def _begin_jumps(self, begins: Tensor) -> None:
+        """Choose the next jumps of robots, bool ``[robots]``."""
+        level, count = self.level, len(begins)
+        slot = torch.full_like(self.slot, -1)
+        drawn = self.mean[level] + (self.size[:, None] * self.spread.sqrt())[level] * torch.randn_like(self.tried_now)
+        # Fit jumps of another height help one that has found none.
+        other = torch.randint(len(self.levels), (count,))
+        known = self.elite_fitness[other, 0].isfinite() & (torch.rand(count) < self.INJECTED)
+        drawn = torch.where(known[:, None], self.elite[other, 0], drawn)
+        if int(self.taken) >= self._last_round:
+            chosen = torch.randint(self.FINALISTS, (count,))
+            known = self.elite_fitness[level, chosen].isfinite()
+            slot = torch.where(known, chosen, slot)
+            drawn = torch.where(known[:, None], self.elite[level, chosen], drawn)
+        self.slot.copy_(torch.where(begins, slot, self.slot))
+        self.tried_now.copy_(torch.where(begins[:, None], drawn, self.tried_now))
+
+    def _evolve(self) -> None:
+        """Take the step of each level's distribution that its results since the last one ask for."""
+        count = int(self.filled)
+        for level in range(len(self.levels)):
+            mine = (self.result_level[:count] == level).nonzero()[:, 0]
+            if len(mine) >= self.FEWEST:
+                self._keep_elite(level, self.results[mine], self.result[mine])
+                self._step(level, self.results[mine], self.result[mine])
+        self.filled.zero_()
+        self.evolved.copy_(self.taken)
+
+    def _keep_elite(self, level: int, jumps: Tensor, results: Tensor) -> None:
+        """Remember the fittest jumps of a level, ``[n, D]``, by their results ``[n]``."""
+        fitness = torch.cat([self.elite_fitness[level], results])
+        best = fitness.argsort(descending=True)[: self.FINALISTS]
+        self.elite[level] = torch.cat([self.elite[level], jumps])[best]
+        self.elite_fitness[level] = fitness[best]
+
+    def _step(self, level: int, jumps: Tensor, results: Tensor) -> None:
+        """Move a level's distribution by the separable CMA-ES, with its default numbers.
+
+        Args:
+            level: Number of the level.
+            jumps: Jumps that were tried, ``[n, D]``.
+            results: Their results, ``[n]``.
+        """
+        length = jumps.shape[1]
+        beyond = (jumps.abs() - 1.0).clamp(min=0.0).square().mean(dim=1)
+        better = (results - self.OUTSIDE * beyond).argsort(descending=True)[: max(2, len(jumps) // 4)]
+        weights = math.log(len(better) + 0.5) - torch.arange(1, len(better) + 1).log()
+        weights = weights / weights.sum()
+        mass = float(1.0 / weights.square().sum())
+        size, spread = float(self.size[level]), self.spread[level]
+        steps = (jumps[better] - self.mean[level]) / size
+        # Jumps from elsewhere count as much as those that the distribution might have drawn (Hansen 2011,
+        # arXiv:1110.4181).
+        far, farthest = (steps / spread.sqrt()).norm(dim=1), math.sqrt(length) + 2.0 * length / (length + 2.0)
+        steps = steps * (farthest / far).clamp(max=1.0)[:, None]
+        step = weights @ steps
+        rate = (mass + 2.0) / (length + mass + 5.0)
+        calm = 1.0 + rate + 2.0 * max(0.0, math.sqrt((mass - 1.0) / (length + 1.0)) - 1.0)
+        slow = (4.0 + mass / length) / (length + 4.0 + 2.0 * mass / length)
+        # Of a diagonal matrix there is less to learn, by a factor of (D + 2) / 3.
+        faster = (length + 2.0) / 3.0
+        one = min(1.0, faster * 2.0 / ((length + 1.3) ** 2 + mass))
+        many = min(1.0 - one, faster * 2.0 * (mass - 2.0 + 1.0 / mass) / ((length + 2.0) ** 2 + mass))
+        usual = math.sqrt(length) * (1.0 - 1.0 / (4.0 * length) + 1.0 / (21.0 * length**2))
+        self.size_path[level] *= 1.0 - rate
+        self.size_path[level] += math.sqrt(rate * (2.0 - rate) * mass) * step / spread.sqrt()
+        self.path[level] *= 1.0 - slow
+        self.path[level] += math.sqrt(slow * (2.0 - slow) * mass) * step
+        self.mean[level] += size * step
+        drawn = weights @ steps.square()
+        self.spread[level] = (1.0 - one - many) * spread + one * self.path[level].square() + many * drawn
+        grows = math.exp(rate / calm * (float(self.size_path[level].norm()) / usual - 1.0))
+        self.size[level] = min(size * grows, 2.0)
+
+    @property
+    def tried(self) -> bool:
+        """Return whether jumps of each level were tried to their ends."""
+        return bool(self.elite_fitness[:, 0].isfinite().all())
+
+    @property
+    def winners(self) -> Tensor:
+        """Return the fittest jump of each level, ``[L, D]``."""
+        means = torch.where(self.count > 0, self.total / self.count.clamp(min=1.0), -math.inf)
+        best = torch.where((self.count > 0).any(dim=1), means.argmax(dim=1), 0)
+        return self.elite[torch.arange(len(best)), best]
+
+    def fittest_action(self, phase: Tensor, command: Tensor | None = None, posture: Tensor | None = None) -> Tensor:
+        """Return the actions of the fittest jumps of the commanded heights after states of the given phases.
+
+        Args:
+            phase: Phase of the clock, ``[*]`` (periods).
+            command: Commanded height, ``[*, 1]`` (m).
+            posture: The body's posture, which does not count.
+
+        Returns:
+            Actions, ``[*, A]``.
+        """
+        if command is None:
+            raise ValueError("Jumps need the commanded height.")
+        shape, level = phase.shape, self._level_of(command).reshape(-1)
+        time = phase.reshape(-1) / self._unit + self._dt
+        return self.poses(self.winners[level], time).clamp(-1.0, 1.0).reshape(*shape, -1)
+
+    def act(self, *_: object, **__: object) -> Tensor:
+        """Refuse: jumps have no genes of gaits."""
+        raise NotImplementedError("Jumps are poses, see Jumping.poses.")
+
+    def fittest(self, steps: int) -> OpenLoop | None:
+        """Return ``None``: jumps follow a command, and are replayed by the clock."""
+        return None
+
+    # Each jump is tried for an episode, and policies learn it by the clock: no robot has to begin anew, or to show it.
+
+    @property
+    def anew(self) -> bool:
+        """Return ``False``."""
+        return False
+
+    @property
+    def shows(self) -> bool:
+        """Return ``False``."""
+        return False
+
+
+def _tuck(robot: Robot) -> Tensor:
+    """Return actions that draw all legs up below an upright body, ``[A]``.
+
+    They are the best of many random ones for each leg: how far its sole is lifted, less a little for each joint that is
+    moved away from where it is when the robot stands.
+    """
+    soles = SoleHeights.of(robot)
+    if soles is None:
+        raise ConfigError("exploration.warmup must not be jumping: the heights of the robot's soles are not known.")
+    names = [joint.name for joint in robot.joints]
+    driven, home = [names.index(name) for name in robot.actuated], robot.home_angles
+    centre, scale = robot.action_map
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (SAMPLES, len(driven)))
+    angles = np.repeat(home[None], SAMPLES, axis=0)
+    angles[:, driven] = np.clip(
+        centre + scale * actions, *np.array([joint.range for joint in robot.joints]).T[:, driven]
+    )
+    lifts = soles.below(angles, np.broadcast_to(np.array([0.0, 0.0, 1.0]), (SAMPLES, 3))) / robot.leg_length
+    standing = (home[driven] - centre) / scale
+    best = np.clip(standing, -1.0, 1.0)
+    for foot, leg in enumerate(robot.legs):
+        own = [i for i, name in enumerate(robot.actuated) if name in {joint.name for joint in leg}]
+        cost = AWAY * ((actions - standing)[:, own] ** 2).sum(axis=1)
+        best[own] = actions[int((lifts[:, foot] - cost).argmax())][own]
+    return torch.from_numpy(best).float()
+
+
+def _places(robot: Robot) -> Tensor:
+    """Return for each action the first one that moves a joint of the same place in a leg, ``[A]``."""
+    place = {joint.name: number for leg in robot.legs for number, joint in enumerate(leg)}
+    first: dict[int, int] = {}
+    return torch.tensor([first.setdefault(place.get(n, -1 - i), i) for i, n in enumerate(robot.actuated)])
