@@ -69,6 +69,7 @@ class JumpSettings(Composition):
     """Hold the settings of the task of jumping to a commanded height; see :class:`.Composition`.
 
     Attributes:
+        history: Number of frames stacked into an observation: few, as the clock tells where the robot is in the jump.
         features: Features of the nodes that the policy observes, which robots have sensors for.
         privileged: Features of the nodes that only critics observe.
         terminations: A fall, standing for a second after a jump that is high enough, and the time limit.
@@ -76,6 +77,7 @@ class JumpSettings(Composition):
         commands: The commanded height, by the name ``jump``.
     """
 
+    history: int = 3
     features: Mapping[str, Any] = field(default_factory=jump_features)
     privileged: Mapping[str, Any] = field(default_factory=jump_privileged)
     terminations: Mapping[str, Any] = field(default_factory=_terminations)

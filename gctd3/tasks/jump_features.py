@@ -63,7 +63,7 @@ class JumpClock(NodeFeature):
     kind: ClassVar[str] = "root"
 
     period: float = 3.0
-    multiples: Sequence[int] = (1, 4)
+    multiples: Sequence[int] = (1, 2, 4, 8)
 
     def __post_init__(self) -> None:
         if not 0 < self.period <= 1000:

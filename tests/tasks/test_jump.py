@@ -276,7 +276,7 @@ def test_observations_show_the_command_and_the_time(biped):
     np.testing.assert_allclose(biped.shown_command(stacked), np.full((100, 2, 1), 0.1), atol=1e-6)
     np.testing.assert_allclose(biped.phase(torch.from_numpy(stacked))[:, 0], time / 3.0, atol=1e-5)
     clocks = [feature for node in sensed(biped, np.stack(nodes)[:, 0]) for feature in node.features if feature.clock_hz]
-    assert [one.clock_hz for one in clocks] == pytest.approx([1 / 3, 1 / 3, 4 / 3, 4 / 3])
+    assert [one.clock_hz for one in clocks] == pytest.approx([k / 3 for k in (1, 1, 2, 2, 4, 4, 8, 8)])
     for one in clocks:
         shown = np.stack(nodes)[(slice(None), 0, *biped.table.place(one.reading))]
         np.testing.assert_allclose(shown, np.sin(2 * np.pi * (one.clock_hz * time + one.clock_phase)), atol=1e-5)
