@@ -37,7 +37,7 @@ class JumpHeight(RewardTerm):
         return ARRAYS
 
     def __call__(self, step: Step) -> Array:
-        """Return the pay, shape ``[*]``."""
+        """Return ``weight (|c - a_(t-1)| - |c - a_t|) / h``, shape ``[*]``."""
         xp, height = step.xp, step.before[HEIGHT][..., 0]
         aim = height + self.margin
         before, after = step.before[APEX.name], step.after[APEX.name]
@@ -68,7 +68,7 @@ class StandAfterJump(RewardTerm):
         return ARRAYS
 
     def __call__(self, step: Step) -> Array:
-        """Return the pay, shape ``[*]``."""
+        """Return ``weight min(a / h, 1)^2 exp(-mean(|w|) / speed)`` where the robot stands, else 0, shape ``[*]``."""
         xp = step.xp
         share = xp.clip(step.after[APEX.name] / step.before[HEIGHT][..., 0], 0.0, 1.0)
         moving = xp.mean(xp.abs(step.now.velocities), axis=-1)
