@@ -10,14 +10,12 @@ import torch
 from torch import Tensor
 
 from gctd3.data.evolution import Evolution, OpenLoop
-from gctd3.errors import ConfigError
+from gctd3.data.leg_poses import drawn_up, places_in_legs
+from gctd3.data.separable_cma import SeparableCMA
 from gctd3.robots.robot import Robot
-from gctd3.robots.sole_heights import SoleHeights
 
 POSES = 6  # between the standing pose at the beginning and at the end
 TUCKED = (3, 4)  # of them, in which legs are drawn up at first
-SAMPLES = 4096  # of actions, among which that is sought which draws a leg up
-AWAY = 0.05  # share of a leg's length that an action of a joint away from standing has to gain
 TIMES = ((0.2, 0.5), (0.05, 0.12))  # shortest and longest time to the first pose, and between poses (s)
 
 
@@ -30,7 +28,7 @@ class Jumping(Evolution):
     Each commanded height has a normal distribution of jumps of its own, which evolves by the separable CMA-ES (Ros &
     Hansen 2008, doi 10.1007/978-3-540-87700-4_30), a generation of about as many jumps as robots have the height in
     the time of an episode. In the last round robots try the fittest few of each height again, from their random
-    starts, and the best one by the mean wins.
+    starts, and the best one by the mean wins; at its end all robots try the winners, with noise.
 
     Args:
         robot: The robot.
@@ -50,11 +48,6 @@ class Jumping(Evolution):
     level: Tensor
     slot: Tensor
     tried_now: Tensor
-    mean: Tensor
-    spread: Tensor
-    size: Tensor
-    path: Tensor
-    size_path: Tensor
     elite: Tensor
     elite_fitness: Tensor
     total: Tensor
@@ -69,9 +62,12 @@ class Jumping(Evolution):
     SPREAD = 0.5  # standard deviation of the first poses about the standing one (actions)
     APART = 0.2  # the same of what legs that stand alike do differently
     NOISE = 0.02  # a jump is over before noise averages out
+    SHOWN = 0.2  # in which all robots try the winners, so that policies learn them from states near theirs
+    SHAKEN = 0.3  # largest noise in that time, spread over the robots (actions)
+    MOST = 0.97  # largest action: policies reach 1 only with endless weights
     FALL = 3.0  # return
     OUTSIDE = 1.0  # return, by which the mean square of what is beyond the range of actions lowers the fitness
-    LAST_ROUND = 0.15
+    LAST_ROUND = 0.35
     INJECTED = 0.1  # share of new jumps that are the fittest one of any height
     FEWEST = 6  # results of a level by which its distribution evolves
 
@@ -94,14 +90,14 @@ class Jumping(Evolution):
         names = [joint.name for joint in robot.joints]
         standing = robot.home_angles[[names.index(name) for name in robot.actuated]]
         home = torch.from_numpy(np.clip((standing - centre) / scale, -1.0, 1.0)).float()[leaders]
-        like = pair_of[_places(robot)][leaders]
+        like = pair_of[places_in_legs(robot)][leaders]
         sign = torch.where(follows, torch.from_numpy(robot.action_mirror[1]), 1.0).float()
         constants = {"levels": torch.tensor(list(levels)), "home": home, "pair_of": pair_of, "like": like, "sign": sign}
         for name, values in constants.items():
             self.register_buffer(name, values, persistent=False)
         kinds, pairs = len(levels), len(leaders)
         apart = (like != torch.arange(pairs)).repeat(POSES)
-        tuck = _tuck(robot)[leaders]
+        tuck = drawn_up(robot)[leaders]
         first = torch.where(apart, 0.0, torch.cat([tuck if i in TUCKED else home for i in range(POSES)]))
         length = len(TIMES) + len(first)
         spread = torch.cat([torch.full((len(TIMES),), self.SPREAD), torch.where(apart, self.APART, self.SPREAD)])
@@ -109,11 +105,6 @@ class Jumping(Evolution):
             "level": torch.zeros(num_robots, dtype=torch.int64),
             "slot": torch.full((num_robots,), -1, dtype=torch.int64),
             "tried_now": torch.zeros(num_robots, length),
-            "mean": torch.cat([torch.zeros(len(TIMES)), first]).expand(kinds, -1).clone(),
-            "spread": spread.square().expand(kinds, -1).clone(),  # variances
-            "size": torch.ones(kinds),
-            "path": torch.zeros(kinds, length),
-            "size_path": torch.zeros(kinds, length),
             "elite": torch.zeros(kinds, self.FINALISTS, length),
             "elite_fitness": torch.full((kinds, self.FINALISTS), -math.inf),
             "total": torch.zeros(kinds, self.FINALISTS),
@@ -127,6 +118,7 @@ class Jumping(Evolution):
         }
         for name, values in state.items():
             self.register_buffer(name, values)
+        self.search = SeparableCMA(torch.cat([torch.zeros(len(TIMES)), first]).expand(kinds, -1), spread)
 
     def poses(self, jumps: Tensor, time: Tensor) -> Tensor:
         """Return the actions ``[B, A]`` of jumps ``[B, D]`` at times ``[B]`` (s)."""
@@ -144,7 +136,7 @@ class Jumping(Evolution):
         share = ((time[:, None] - begin) / (end - begin)).clamp(0.0, 1.0)
         wide = now[..., None].expand(-1, 1, poses.shape[-1])
         pose = torch.lerp(poses.gather(1, wide)[:, 0], poses.gather(1, wide + 1)[:, 0], share)
-        return self.sign * pose[:, self.pair_of]
+        return (self.sign * pose[:, self.pair_of]).clamp(-self.MOST, self.MOST)
 
     def forward(
         self,
@@ -178,7 +170,9 @@ class Jumping(Evolution):
         self.taken += 1
         # As by the clock that policies observe: the time at the end of the step.
         action = self.poses(self.tried_now, self._dt * self.age)
-        return (action + self.NOISE * torch.randn_like(action)).clamp(-1.0, 1.0)
+        most = self.SHAKEN if self.final else self.NOISE
+        noise = torch.linspace(self.NOISE, most, len(action))[:, None]
+        return (action + noise * torch.randn_like(action)).clamp(-1.0, 1.0)
 
     def _level_of(self, command: Tensor) -> Tensor:
         """Return the number of the nearest level of each command ``[*, 1]``, ``[*]``."""
@@ -205,7 +199,7 @@ class Jumping(Evolution):
         """Choose the next jumps of robots, bool ``[robots]``."""
         level, count = self.level, len(begins)
         slot = torch.full_like(self.slot, -1)
-        drawn = self.mean[level] + (self.size[:, None] * self.spread.sqrt())[level] * torch.randn_like(self.tried_now)
+        drawn = self.search.draw(level)
         # Fit jumps of another height help one that has found none.
         other = torch.randint(len(self.levels), (count,))
         known = self.elite_fitness[other, 0].isfinite() & (torch.rand(count) < self.INJECTED)
@@ -215,6 +209,9 @@ class Jumping(Evolution):
             known = self.elite_fitness[level, chosen].isfinite()
             slot = torch.where(known, chosen, slot)
             drawn = torch.where(known[:, None], self.elite[level, chosen], drawn)
+        if int(self.taken) >= self._shown and self.tried:
+            self.final.fill_(True)
+            slot, drawn = torch.full_like(slot, -1), self.winners[level]
         self.slot.copy_(torch.where(begins, slot, self.slot))
         self.tried_now.copy_(torch.where(begins[:, None], drawn, self.tried_now))
 
@@ -225,7 +222,8 @@ class Jumping(Evolution):
             mine = (self.result_level[:count] == level).nonzero()[:, 0]
             if len(mine) >= self.FEWEST:
                 self._keep_elite(level, self.results[mine], self.result[mine])
-                self._step(level, self.results[mine], self.result[mine])
+                beyond = (self.results[mine].abs() - 1.0).clamp(min=0.0).square().mean(dim=1)
+                self.search.step(level, self.results[mine], self.result[mine] - self.OUTSIDE * beyond)
         self.filled.zero_()
         self.evolved.copy_(self.taken)
 
@@ -235,45 +233,6 @@ class Jumping(Evolution):
         best = fitness.argsort(descending=True)[: self.FINALISTS]
         self.elite[level] = torch.cat([self.elite[level], jumps])[best]
         self.elite_fitness[level] = fitness[best]
-
-    def _step(self, level: int, jumps: Tensor, results: Tensor) -> None:
-        """Move a level's distribution by the separable CMA-ES, with its default numbers.
-
-        Args:
-            level: Number of the level.
-            jumps: Jumps that were tried, ``[n, D]``.
-            results: Their results, ``[n]``.
-        """
-        length = jumps.shape[1]
-        beyond = (jumps.abs() - 1.0).clamp(min=0.0).square().mean(dim=1)
-        better = (results - self.OUTSIDE * beyond).argsort(descending=True)[: max(2, len(jumps) // 4)]
-        weights = math.log(len(better) + 0.5) - torch.arange(1, len(better) + 1).log()
-        weights = weights / weights.sum()
-        mass = float(1.0 / weights.square().sum())
-        size, spread = float(self.size[level]), self.spread[level]
-        steps = (jumps[better] - self.mean[level]) / size
-        # Jumps from elsewhere count as much as those that the distribution might have drawn (Hansen 2011,
-        # arXiv:1110.4181).
-        far, farthest = (steps / spread.sqrt()).norm(dim=1), math.sqrt(length) + 2.0 * length / (length + 2.0)
-        steps = steps * (farthest / far).clamp(max=1.0)[:, None]
-        step = weights @ steps
-        rate = (mass + 2.0) / (length + mass + 5.0)
-        calm = 1.0 + rate + 2.0 * max(0.0, math.sqrt((mass - 1.0) / (length + 1.0)) - 1.0)
-        slow = (4.0 + mass / length) / (length + 4.0 + 2.0 * mass / length)
-        # Of a diagonal matrix there is less to learn, by a factor of (D + 2) / 3.
-        faster = (length + 2.0) / 3.0
-        one = min(1.0, faster * 2.0 / ((length + 1.3) ** 2 + mass))
-        many = min(1.0 - one, faster * 2.0 * (mass - 2.0 + 1.0 / mass) / ((length + 2.0) ** 2 + mass))
-        usual = math.sqrt(length) * (1.0 - 1.0 / (4.0 * length) + 1.0 / (21.0 * length**2))
-        self.size_path[level] *= 1.0 - rate
-        self.size_path[level] += math.sqrt(rate * (2.0 - rate) * mass) * step / spread.sqrt()
-        self.path[level] *= 1.0 - slow
-        self.path[level] += math.sqrt(slow * (2.0 - slow) * mass) * step
-        self.mean[level] += size * step
-        drawn = weights @ steps.square()
-        self.spread[level] = (1.0 - one - many) * spread + one * self.path[level].square() + many * drawn
-        grows = math.exp(rate / calm * (float(self.size_path[level].norm()) / usual - 1.0))
-        self.size[level] = min(size * grows, 2.0)
 
     @property
     def tried(self) -> bool:
@@ -302,7 +261,7 @@ class Jumping(Evolution):
             raise ValueError("Jumps need the commanded height.")
         shape, level = phase.shape, self._level_of(command).reshape(-1)
         time = phase.reshape(-1) / self._unit + self._dt
-        return self.poses(self.winners[level], time).clamp(-1.0, 1.0).reshape(*shape, -1)
+        return self.poses(self.winners[level], time).reshape(*shape, -1)
 
     def act(self, *_: object, **__: object) -> Tensor:
         """Refuse: jumps have no genes of gaits."""
@@ -312,48 +271,17 @@ class Jumping(Evolution):
         """Return ``None``: jumps follow a command, and are replayed by the clock."""
         return None
 
-    # Each jump is tried for an episode, and policies learn it by the clock: no robot has to begin anew, or to show it.
-
     @property
     def anew(self) -> bool:
-        """Return ``False``."""
+        """Return ``False``: each jump is tried for an episode, so that no robot has to begin anew."""
         return False
 
     @property
     def shows(self) -> bool:
-        """Return ``False``."""
-        return False
+        """Return whether robots try the winners, and go on to do so until the warm-up ends."""
+        return bool(self.final)
 
-
-def _tuck(robot: Robot) -> Tensor:
-    """Return actions that draw all legs up below an upright body, ``[A]``.
-
-    They are the best of many random ones for each leg: how far its sole is lifted, less a little for each joint that is
-    moved away from where it is when the robot stands.
-    """
-    soles = SoleHeights.of(robot)
-    if soles is None:
-        raise ConfigError("exploration.warmup must not be jumping: the heights of the robot's soles are not known.")
-    names = [joint.name for joint in robot.joints]
-    driven, home = [names.index(name) for name in robot.actuated], robot.home_angles
-    centre, scale = robot.action_map
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (SAMPLES, len(driven)))
-    angles = np.repeat(home[None], SAMPLES, axis=0)
-    angles[:, driven] = np.clip(
-        centre + scale * actions, *np.array([joint.range for joint in robot.joints]).T[:, driven]
-    )
-    lifts = soles.below(angles, np.broadcast_to(np.array([0.0, 0.0, 1.0]), (SAMPLES, 3))) / robot.leg_length
-    standing = (home[driven] - centre) / scale
-    best = np.clip(standing, -1.0, 1.0)
-    for foot, leg in enumerate(robot.legs):
-        own = [i for i, name in enumerate(robot.actuated) if name in {joint.name for joint in leg}]
-        cost = AWAY * ((actions - standing)[:, own] ** 2).sum(axis=1)
-        best[own] = actions[int((lifts[:, foot] - cost).argmax())][own]
-    return torch.from_numpy(best).float()
-
-
-def _places(robot: Robot) -> Tensor:
-    """Return for each action the first one that moves a joint of the same place in a leg, ``[A]``."""
-    place = {joint.name: number for leg in robot.legs for number, joint in enumerate(leg)}
-    first: dict[int, int] = {}
-    return torch.tensor([first.setdefault(place.get(n, -1 - i), i) for i, n in enumerate(robot.actuated)])
+    @property
+    def followers(self) -> Tensor:
+        """Return which robots try the winners then, bool ``[robots]``: all of them."""
+        return torch.ones_like(self.again)

@@ -32,6 +32,7 @@ from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
 from gctd3.data.gait_policy import ByClock, fittest_gait
 from gctd3.data.inline_collector import InlineCollector
+from gctd3.data.jumping import Jumping
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.data.replay import Replay
 from gctd3.envs.factory import EnvRecipe
@@ -235,9 +236,13 @@ class Trainer:
 
     @property
     def _shown_gait(self) -> Evolution | None:
-        """Return the gaits of the warm-up, while it lasts, if a policy without a clock is to learn the fittest one."""
+        """Return the gaits of the warm-up, while it lasts, if a policy is to learn the fittest one from robots.
+
+        That is a policy without a clock, or one that jumps.
+        """
         settings, gait = self.settings, self.explorer.rhythm
-        asked = settings.imitation.updates and settings.init is None and self.setup.task.gait is None
+        asked = settings.imitation.updates and settings.init is None
+        asked = asked and (self.setup.task.gait is None or isinstance(gait, Jumping))
         return gait if asked and isinstance(gait, Evolution) and self.explorer.warming_up else None
 
     @property
@@ -263,11 +268,12 @@ class Trainer:
         settings, gait, task = self.settings.imitation, self.explorer.rhythm, self.setup.task
         if not settings.updates or self.settings.init is not None:
             return
-        if len(self.demonstration):
-            sample = self.demonstration.sample
+        sample = self.demonstration.sample if len(self.demonstration) else None
+        if task.gait is not None and isinstance(gait, Evolution) and gait.tried:
+            # What the gait does at the observed time, without the noise.
+            self.algorithm.imitation = Imitation(settings, ByClock(gait, cast(SimulatedTask, task)).action, sample)
+        elif sample is not None:
             self.algorithm.imitation = Imitation(settings, lambda seen: seen["action"], sample)
-        elif task.gait is not None and isinstance(gait, Evolution) and gait.tried:
-            self.algorithm.imitation = Imitation(settings, ByClock(gait, cast(SimulatedTask, task)).action)
 
     def _begin_again(self, line: ProgressLine, why: str) -> None:
         """Begin again with new weights, an empty replay and a warm-up; keep the best policy and, inline, the robots."""
