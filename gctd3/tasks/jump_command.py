@@ -27,7 +27,7 @@ class JumpCommand(Command):
     """
 
     every: float = 1e6
-    levels: Sequence[float] = (0.10, 0.14, 0.18)
+    levels: Sequence[float] = (0.10, 0.13, 0.16)
 
     def __post_init__(self) -> None:
         super().__post_init__()
