@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from gctd3.errors import ConfigError
+from gctd3.errors import ConfigError, check_between
 from gctd3.tasks.heading import coordinate
 from gctd3.tasks.jump_command import HEIGHT
 from gctd3.tasks.jump_memory import APEX, ARRAYS, STOOD, standing
@@ -48,18 +48,22 @@ class JumpHeight(RewardTerm):
 class StandAfterJump(RewardTerm):
     """Reward each step in which the robot stands after a jump, by how high that was.
 
-    It is ``weight min(a / h, 1)^2 exp(-mean(|w|) / speed)`` with the apex ``a``, the commanded height ``h`` and the
-    joints' velocities ``w``: nothing before a jump, and less while joints still move.
+    It is ``weight s exp(-mean(|w|) / speed)`` with the joints' velocities ``w``, and ``s = 1`` after a jump of at least
+    the commanded height ``h``, ``short (a / h)^2`` after one with a lower apex ``a``: nothing before a jump, and less
+    while joints still move.
 
     Attributes:
         weight: Reward of a step in which nothing moves, after a jump of the commanded height.
         speed: Mean joint velocity at which the pay has fallen to ``1 / e`` (rad/s).
+        short: Share of it after a jump that is all but high enough.
     """
 
     weight: float = 0.2
     speed: float = 2.0
+    short: float = 0.5
 
     def __post_init__(self) -> None:
+        check_between(self, 0, 1, "short")
         if not self.speed > 0:
             raise ConfigError(f"speed must be above 0 rad/s, got {self.speed}.")
 
@@ -68,11 +72,12 @@ class StandAfterJump(RewardTerm):
         return ARRAYS
 
     def __call__(self, step: Step) -> Array:
-        """Return ``weight min(a / h, 1)^2 exp(-mean(|w|) / speed)`` where the robot stands, else 0, shape ``[*]``."""
+        """Return ``weight s exp(-mean(|w|) / speed)`` where the robot stands, else 0, shape ``[*]``."""
         xp = step.xp
-        share = xp.clip(step.after[APEX.name] / step.before[HEIGHT][..., 0], 0.0, 1.0)
+        share = step.after[APEX.name] / step.before[HEIGHT][..., 0]
+        share = xp.where(share >= 1.0, 1.0, self.short * share * share)
         moving = xp.mean(xp.abs(step.now.velocities), axis=-1)
-        pay = share * share * xp.exp(-moving / self.speed)
+        pay = share * xp.exp(-moving / self.speed)
         return self.weight * xp.where(standing(step.now, step.facts), pay, 0.0)
 
 

@@ -169,11 +169,11 @@ def test_pay_of_a_jump():
     assert sum(pay["jump"] for pay in pays) == pytest.approx(2.0 * (0.115 - 0.005) / 0.1)
 
 
-def test_standing_after_a_low_jump_is_worth_the_square_of_its_height():
+def test_standing_after_a_low_jump_is_worth_half_of_the_square_of_its_height():
     task = JumpSettings(commands={"jump": JumpCommand(levels=[0.48])}).build(
         RobotSettings("biped"), Reward({"stand": StandAfterJump(weight=1.0)})
     )
-    assert played(task)[-1][1]["stand"] == pytest.approx((0.12 / 0.48) ** 2)
+    assert played(task)[-1][1]["stand"] == pytest.approx(0.5 * (0.12 / 0.48) ** 2)
 
 
 def test_pay_of_the_place(quadruped):
