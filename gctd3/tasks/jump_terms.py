@@ -26,7 +26,7 @@ class JumpHeight(RewardTerm):
     """
 
     weight: float = 10.0
-    margin: float = 0.015
+    margin: float = 0.025
 
     def __post_init__(self) -> None:
         if not 0 <= self.margin < 1:
