@@ -99,7 +99,8 @@ WRONG = {
     "reward.terms={}": ["reward.terms={} removes nothing", "reward.terms.swing=null"],
     "stop_when.at_least={}": ["stop_when.at_least={} removes nothing", "'~stop_when.at_least.success_rate' "],
     "reward=null": [
-        "reward=null: reward cannot be left out. Options of reward: empty, jump, paper, table3, tracking, velocity, walk."
+        "reward=null: reward cannot be left out. Options of reward: "
+        "empty, jump, paper, table3, tracking, velocity, walk."
     ],
     "task=null": ["task=null: task cannot be left out. Options of task: ant, ", "walk, "],
     "reward.terms.fall._target_=gctd3.Living": [
