@@ -3,6 +3,7 @@
     python benchmarks/walk.py algo=gctd3 seeds=0,1,2,3,4 out=benchmarks/results/walk_gctd3.json
     python benchmarks/walk.py algo=td3 jobs=2 threads=1 env.threads=1
     python benchmarks/walk.py robot=quadruped seeds=0,1
+    python benchmarks/walk.py task=jump seeds=0,1,2 runs=runs/jump
 
 Each seed is a process of ``python -m gctd3.train``, ``jobs`` of them at a time; any other key is passed on to it. The
 JSON holds the command, the commit, the machine, and for each seed the evaluation, the wall-clock and the learning

@@ -124,6 +124,15 @@ _TARGETS = {
     "VelocityCommand": "gctd3.tasks.velocity_command",
     "VelocitySettings": "gctd3.tasks.velocity",
     "ViewSettings": "gctd3.runs.settings",
+    "CommandHeight": "gctd3.tasks.jump_features",
+    "JumpApex": "gctd3.tasks.jump_features",
+    "JumpClock": "gctd3.tasks.jump_features",
+    "JumpCommand": "gctd3.tasks.jump_command",
+    "JumpHeight": "gctd3.tasks.jump_terms",
+    "JumpSettings": "gctd3.tasks.jump",
+    "JumpedAndStood": "gctd3.tasks.jump_terms",
+    "LeaveSpot": "gctd3.tasks.jump_terms",
+    "StandAfterJump": "gctd3.tasks.jump_terms",
     "WalkSettings": "gctd3.tasks.walk",
 }
 __all__ = sorted(_HOME)

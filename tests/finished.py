@@ -15,6 +15,9 @@ from running import train
 
 # A library's episodes have no falls in so few frames, and an evaluation is as long as they are.
 LIBRARY = ["task=walker2d", "env.num_envs=2", "evaluation.episodes=1", "evaluation.every=200", "total_frames=120"]
+# Robots that try jumps for an episode, and show the fittest ones in a second one.
+JUMP = ["task=jump", "env.num_envs=32", "exploration.learning_starts=8960", "replay.buffer_size=20000"]
+JUMP += ["total_frames=9088", "evaluation.every=64", "imitation.updates=3"]
 # What each run is trained with besides running.TINY, and what of TINY does not apply to it.
 RUNS = {
     "gctd3": (["algo=gctd3"], ()),
@@ -25,6 +28,10 @@ RUNS = {
     "sac": (["algo=sac"], ()),
     "quadruped": (["algo=gctd3", "robot=quadruped", "imitation.updates=3"], ()),
     "velocity": (["algo=gctd3", "robot=quadruped", "task=velocity", "imitation.updates=3"], ()),
+    "jump": (
+        ["algo=gctd3", *JUMP],
+        ("env.num_envs", "exploration.learning_starts", "replay.buffer_size", "total_frames", "evaluation.every"),
+    ),
     "dm_control": (["algo=gctd3", "env.backend=dm_control"], ()),
     "library": (
         ["algo=gctd3", *LIBRARY],

@@ -13,10 +13,12 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.data.commanded_stepping import CommandedStepping
 from gctd3.data.evolution import Evolution
+from gctd3.data.jumping import Jumping
 from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
 from gctd3.data.swinging import Swinging
 from gctd3.data.trials import Shown, Trials
+from gctd3.errors import ConfigError
 from gctd3.robots.gait_pattern import GaitPattern
 from gctd3.robots.robot import Robot
 from gctd3.tasks.posture import Posture
@@ -149,11 +151,12 @@ class Explorer(TensorDictModuleBase):
         part: Robots that this explorer moves, all by default; other explorers move the rest at the same pace.
         gait: Gait for which the policy observes a clock; feet that step in the warm-up keep to it.
         command: Function that reads the commanded velocity ``[robots, 3]`` from the observed nodes, which feet that
-            step in the warm-up follow; ``None`` for none.
+            step in the warm-up follow, or the commanded height ``[robots, 1]`` of a jump; ``None`` for none.
         velocity: Function that reads the velocity ``[robots, 3]`` from what critics observe, by which these feet are
             corrected; ``None`` for none.
         limit: Control steps after which an episode ends though the robot has not fallen; ``None`` for no limit.
         posture: What shows the body's posture in the observed nodes, to which feet that step may answer.
+        levels: Commanded heights of jumps, rising (m); ``None`` for a task without them.
 
     Attributes:
         frames: Control steps of all robots so far.
@@ -178,19 +181,29 @@ class Explorer(TensorDictModuleBase):
         velocity: Callable[[Tensor], Tensor] | None = None,
         limit: int | None = None,
         posture: Posture | None = None,
+        levels: Sequence[float] | None = None,
     ) -> None:
         super().__init__()
         self.num_robots = num_robots
         robots = len(range(num_robots)[part])
-        stepping = settings.warmup == "stepping"
+        stepping, jumping = settings.warmup == "stepping", settings.warmup == "jumping"
+        if jumping and (levels is None or command is None or gait is None):
+            raise ConfigError(
+                "exploration.warmup must not be jumping for this task: jumps follow a commanded height and a clock, "
+                "which policies of task=jump observe."
+            )
+        if levels is not None and not jumping:
+            # Feet that step follow neither a height nor the clock of a jump.
+            command, gait = None, None
         # What tells how good a gait is, if gaits evolve.
         self._judged_by: list[str] = []
-        if settings.warmup in ("stepping", "swinging"):
-            self._judged_by = ["episode_reward", *(["position"] if settings.least_speed is not None else [])]
+        if settings.warmup in ("stepping", "swinging", "jumping"):
+            judged_by_speed = settings.least_speed is not None and not jumping
+            self._judged_by = ["episode_reward", *(["position"] if judged_by_speed else [])]
         elif settings.mutation_share > 0:
             self._judged_by = ["position"]
-        self._command = command if stepping else None
-        self._velocity = velocity if self._command is not None else None
+        self._command = command if stepping or jumping else None
+        self._velocity = velocity if self._command is not None and stepping else None
         self._posture = posture if stepping and settings.answers(robot) else None
         seen = [*self._judged_by, *(["counters"] if self._velocity is not None else [])]
         self.in_keys = [*actor.in_keys, "is_init", *seen]
@@ -210,6 +223,8 @@ class Explorer(TensorDictModuleBase):
         elif stepping:
             kind = Stepping if command is None else CommandedStepping
             self.rhythm = kind(robot, robots, trials, gait, balances=self._posture is not None)
+        elif jumping and gait is not None:
+            self.rhythm = Jumping(robot, robots, levels or (), gait.frequency, trials)
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
@@ -231,7 +246,7 @@ class Explorer(TensorDictModuleBase):
         part: slice = slice(None),
     ) -> Explorer:
         """Build the explorer of a task; see :class:`Explorer` for the arguments."""
-        shown = task.shown_command, task.shown_velocity, task.time_limit, task.posture
+        shown = task.shown_command, task.shown_velocity, task.time_limit, task.posture, task.levels
         return cls(actor, task.robot, num_robots, settings, task.control_dt, part, task.gait, *shown)
 
     @property

@@ -27,12 +27,13 @@ class ExplorationSettings:
         warmup: ``rhythmic``: a sine for every joint, left and right half a period apart (:class:`.Rhythm`);
             ``swinging``: the same gaits, which evolve by the training's reward (:class:`.Swinging`); ``stepping``: feet
             that step to and fro, at sizes by the legs' length, or as a velocity is commanded, which evolve too
-            (:class:`.Stepping`, :class:`.CommandedStepping`); ``uniform``: random actions, each held for a while.
+            (:class:`.Stepping`, :class:`.CommandedStepping`); ``jumping``: jumps of the commanded heights, which evolve
+            too (:class:`.Jumping`); ``uniform``: random actions, each held for a while.
         learning_starts: Frames of the warm-up, of all robots together, before the policy acts.
         hold: Control steps for which warmup=uniform holds an action.
         frequency: Lowest and highest frequency of warmup=rhythmic and warmup=swinging (Hz).
         mutation_share: Share of new gaits that are mutations of those that got farthest before (warmup=rhythmic) or
-            were paid most (warmup=swinging, stepping); the rest are drawn anew.
+            were paid most (warmup=swinging, stepping, jumping); the rest are drawn anew.
         gait_time: Time for which warmup=swinging and warmup=stepping try a gait (s); ``None`` for 2 s, or 4 s with
             reflexes, since a gait that loses its balance may take so long to fall.
         least_speed: Speed below which a gait of warmup=swinging or stepping counts as less fit, however much the reward
@@ -46,7 +47,7 @@ class ExplorationSettings:
             (arXiv:1509.02971) of the same standard deviation; 0 for white noise, as on the others.
     """
 
-    warmup: Literal["rhythmic", "swinging", "stepping", "uniform"] = "rhythmic"
+    warmup: Literal["rhythmic", "swinging", "stepping", "jumping", "uniform"] = "rhythmic"
     learning_starts: int = 10_000
     hold: int = 5
     frequency: Sequence[float] = (1.2, 2.4)

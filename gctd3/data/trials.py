@@ -33,7 +33,8 @@ class Shown:
     """Hold what observations of robots show beside the time, as far as gaits ask for it.
 
     Attributes:
-        command: Commanded velocity, ``[B, 3]`` (m/s, m/s, rad/s), for gaits that follow one.
+        command: Commanded velocity, ``[B, 3]`` (m/s, m/s, rad/s), for gaits that follow one, or the commanded height
+            of jumps, ``[B, 1]`` (m).
         posture: The body's posture, ``[B, 6]`` (:class:`.Posture`), for gaits with reflexes.
         velocity: Velocity without the body's sway, ``[B, 3]`` (m/s, m/s, rad/s), by which gaits that follow a command
             are corrected; they are not where it is ``None``.

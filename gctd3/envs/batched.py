@@ -11,6 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from gctd3.envs.robots_env import Glance, RobotsEnv, column, ends
 from gctd3.envs.simulation import Simulation
 from gctd3.tasks.ground import LANE
+from gctd3.tasks.jump_memory import jumped
 from gctd3.tasks.terminations import STEPS
 from gctd3.tasks.terms import hips
 from gctd3.tasks.velocity_command import VELOCITY, velocities
@@ -68,7 +69,8 @@ class BatchedEnv(RobotsEnv):
         now, facts = self.simulation.now, self.simulation.task.facts
         command = self.simulation.memory.get(VELOCITY)
         moved = None if command is None else velocities(now, facts)
-        return Glance(now.height, hips(now, facts) * facts.hip_signs, now.feet_down, command, moved)
+        jump = jumped(self.simulation.memory)
+        return Glance(now.height, hips(now, facts) * facts.hip_signs, now.feet_down, command, moved, jump)
 
     def lanes(self) -> list[tuple[str, int]] | None:
         """Return the kind and the level of the ground on which each robot's episode began; ``None`` on a plane."""

@@ -44,7 +44,7 @@ class LibraryTask:
     backends: tuple[str, ...] = ("library",)
     abilities: frozenset[Ability] = frozenset()
     endless = False
-    time_limit = shown_command = shown_velocity = posture = None
+    time_limit = shown_command = shown_velocity = posture = levels = None
 
     def __init__(
         self,

@@ -24,6 +24,7 @@ class Glance:
         command: Commanded velocity forward, to the left and turning, shape ``[N, 3]`` (m/s, m/s, rad/s); ``None`` for a
             task without it.
         moved: The robot's velocities of the same kind, shape ``[N, 3]``; ``None`` for a task without commands.
+        jump: Commanded height of a jump, and its apex so far, shape ``[N, 2]`` (m); ``None`` for a task without jumps.
     """
 
     height: np.ndarray
@@ -31,6 +32,7 @@ class Glance:
     feet_down: np.ndarray
     command: np.ndarray | None = None
     moved: np.ndarray | None = None
+    jump: np.ndarray | None = None
 
 
 class RobotsEnv(EnvBase):

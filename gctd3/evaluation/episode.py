@@ -30,6 +30,7 @@ class Episode:
             ``[T, 3]`` (m/s, m/s, rad/s); ``None`` for a task without commands.
         moved: Velocities of the same kind after each step, shape ``[T, 3]``; ``None`` for a task without commands.
         fell: Whether the episode terminated.
+        jump: Commanded height of a jump, and its apex (m); ``None`` for a task without jumps.
         ground: Kind and level of the terrain on which it began; ``None`` on a plane.
     """
 
@@ -44,6 +45,7 @@ class Episode:
     command: np.ndarray | None = None
     moved: np.ndarray | None = None
     fell: bool = False
+    jump: tuple[float, float] | None = None
     ground: tuple[str, int] | None = None
 
     def velocity(self, dt: float) -> float:

@@ -13,6 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from gctd3.data.finite import check_finite
 from gctd3.envs.robots_env import Glance
 from gctd3.evaluation.episode import Episode
+from gctd3.evaluation.jumping import jump_errors
 from gctd3.evaluation.recorder import Recorder
 from gctd3.evaluation.tracking import tracking_errors
 from gctd3.progress import StatusLine
@@ -48,6 +49,7 @@ class Evaluation:
             "success_rate": float(np.mean([e.success for e in episodes])),
             "body_position_mean": float(np.mean(np.concatenate([e.height for e in episodes]))),
             **tracking_errors(episodes, self.control_dt),
+            **jump_errors(episodes),
         }
 
     def by_ground(self) -> list[dict[str, str | float | int]]:
@@ -139,6 +141,7 @@ def evaluate(
     # The command that was seen when the action was chosen: that before the step.
     asked = _stacked(commands[:-1])
     moved = _stacked([glance.moved for glance in glances])
+    jumps = _stacked([glance.jump for glance in glances])
     lengths = [int(steps) for steps in lived.sum(axis=0)]
     motions = recorder.motions(lengths) if recorder is not None else [None] * count
     episodes = []
@@ -156,6 +159,7 @@ def evaluate(
                 command=None if asked is None else asked[:steps, i],
                 moved=None if moved is None else moved[:steps, i],
                 fell=bool(terminated[i]),
+                jump=None if jumps is None else (float(jumps[steps - 1, i, 0]), float(jumps[steps - 1, i, 1])),
                 ground=None if grounds is None else grounds[i],
             )
         )

@@ -7,7 +7,7 @@ import io
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from gctd3.envs.factory import build_env
 from gctd3.errors import RunError
 from gctd3.evaluation.command_grid import examine
 from gctd3.evaluation.episode import LAST_METRES, Episode
+from gctd3.evaluation.jumping import by_level
 from gctd3.evaluation.quantities import quantity
 from gctd3.evaluation.robustness import Examination
 from gctd3.evaluation.rollout import evaluate
@@ -151,6 +152,7 @@ def measure_run(settings: EvaluateSettings) -> Measured:
         **result.summary(),
         "gait": {**result.gait(), **(summarize(result.episodes, task.robot, dt) if walks else {})},
         **({"ground": grounds} if (grounds := result.by_ground()) else {}),
+        **({"jumps": [asdict(level) for level in levels]} if (levels := by_level(result.episodes)) else {}),
         "seeds": {"training": run.settings.seed, "evaluation": settings.seed},
         "versions": versions(),
     }
@@ -274,13 +276,24 @@ def table(report: dict[str, object]) -> str:
             ("error of the yaw rate, rad/s", "error_turn", "{:.3f}", None),
             ("share of falls", "fall_rate", "{:.2f}", None),
         ]
+    elif "apex_error" in report:
+        rows += [
+            ("success rate", "success_rate", "{:.2f}", None),
+            ("share of falls", "fall_rate", "{:.2f}", None),
+            ("apex, m", "apex_mean", "{:.3f}", None),
+            ("apex off the commanded height, m", "apex_error", "{:.3f}", None),
+        ]
     elif walk:
         rows += [
             ("success rate", "success_rate", "{:.2f}", None),
             ("body position, m from standing", "body_position_mean", "{:.4f}", None),
         ]
     # The paper has no numbers for a library's task, nor for another robot than its biped.
-    compared = walk and "error_forward" not in report and report.get("robot", PAPERS_ROBOT) == PAPERS_ROBOT
+    compared = (
+        walk
+        and not {"error_forward", "apex_error"} & report.keys()
+        and report.get("robot", PAPERS_ROBOT) == PAPERS_ROBOT
+    )
     lines = [f"{'':34}{'this policy':>18}" + (f"{'paper, GCTD3':>18}" if compared else "")]
 
     def cell(values: dict[str, object], key: str, form: str, spread: str | None) -> str:
@@ -295,11 +308,13 @@ def table(report: dict[str, object]) -> str:
     for label, key, form, spread in rows:
         beside = f"{cell(paper, key, form, spread):>18}" if compared else ""
         lines.append(f"{label:34}{cell(report, key, form, spread):>18}{beside}")
-    lines += ground_table(report)
+    lines += ground_table(report) + jump_table(report)
     gait = report["gait"]
     if not walk and not gait:
         return "\n".join(lines)
     if not isinstance(gait, dict) or not gait:
+        if "jumps" in report:
+            return "\n".join(lines)
         return "\n".join([*lines, f"No episode got {LAST_METRES:.0f} m far, so there is no gait to measure."])
     lines += ["", f"Gait over the last {LAST_METRES:.0f} m of {gait['episodes']:.0f} episodes"]
     for key, value in gait.items():
@@ -316,6 +331,17 @@ def ground_table(report: Mapping[str, object]) -> list[str]:
         return []
     lines = ["", f"{'ground':24}{'level':>6}{'episodes':>10}{'success':>9}{'falls':>7}{'distance, m':>13}"]
     form = "{kind:24}{level:>6}{episodes:>10}{success_rate:>9.2f}{fall_rate:>7.2f}{distance_mean:>13.2f}"
+    return lines + [form.format(**row) for row in rows]
+
+
+def jump_table(report: Mapping[str, object]) -> list[str]:
+    """Return the lines of the results at each commanded height; none for a task without jumps."""
+    rows = report.get("jumps")
+    if not isinstance(rows, list) or not rows:
+        return []
+    lines = ["", f"{'commanded, m':14}{'episodes':>10}{'success':>9}{'falls':>7}{'apex, m':>10}{'least':>8}{'most':>8}"]
+    form = "{commanded:<14.3f}{episodes:>10}{success_rate:>9.2f}{fall_rate:>7.2f}{apex_mean:>10.3f}"
+    form += "{apex_least:>8.3f}{apex_most:>8.3f}"
     return lines + [form.format(**row) for row in rows]
 
 

@@ -305,6 +305,11 @@ class SimulatedTask:
         """Return a function that reads how a robot moves from counters; ``None`` for a task without commands."""
         return None
 
+    @property
+    def levels(self) -> tuple[float, ...] | None:
+        """Return the commanded heights of jumps, rising (m); ``None`` for a task without them."""
+        return None
+
     @functools.cached_property
     def posture(self) -> Posture:
         """Return what shows the body's posture in observations."""

@@ -71,6 +71,10 @@ class Task(Protocol):
     def posture(self) -> Posture | None:
         """Return what shows the body's posture in observations; ``None`` where nothing does."""
 
+    @property
+    def levels(self) -> tuple[float, ...] | None:
+        """Return the commanded heights of jumps, rising (m); ``None`` for a task without them."""
+
     def reflection(self) -> Reflection:
         """Return the reflection of the task's observations and actions.
 

@@ -23,6 +23,7 @@ from gctd3.robots.gait_pattern import alternating_phases
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.nodes import foot_slots
 from gctd3.robots.robot import Robot
+from gctd3.robots.sole_heights import SoleHeights
 from gctd3.tasks.measurement import Measurement
 
 if TYPE_CHECKING:
@@ -96,6 +97,7 @@ class RobotFacts:
         foot_velocities: Whether the velocities of the feet are measured.
         servos: Numbers of the servos.
         ground: The terrain; ``None`` for a plane.
+        soles: Heights of the soles by the joints' angles; ``None`` if a leg has a joint whose angle is not measured.
     """
 
     control_dt: float
@@ -117,6 +119,7 @@ class RobotFacts:
     foot_velocities: bool
     servos: ServoFacts
     ground: Ground | None = None
+    soles: SoleHeights | None = None
 
     @classmethod
     def from_robot(
@@ -145,6 +148,7 @@ class RobotFacts:
             foot_velocities=robot.foot_velocity_sensors is not None,
             servos=ServoFacts.from_robot(robot),
             ground=ground,
+            soles=SoleHeights.of(robot),
         )
 
     def soft_range(self, share: float) -> tuple[np.ndarray, np.ndarray]:

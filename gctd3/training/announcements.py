@@ -69,11 +69,13 @@ def closing(best: Mapping[str, float] | None, run: Path, config: DictConfig, wal
     if follows is not None:
         lines += [] if follows else ["It does not follow all commands yet."]
     elif success < SURE:
-        lines.append("It does not walk yet." if success == 0 else "It does not walk in every episode yet.")
+        does = "jump and stand" if "apex_error" in best else "walk"
+        lines.append(f"It does not {does} yet." if success == 0 else f"It does not {does} in every episode yet.")
     able = success >= SURE if follows is None else follows
     lines.append(f"Evaluate it over 50 episodes:  {again(config, 'evaluate', f'run={run}', 'episodes=50')}")
     if walks:
-        seen = ("Watch it walk" if follows is None else "Steer it") if able else "See what it does"
+        watch = "Watch it jump" if "apex_error" in best else "Watch it walk"
+        seen = (watch if follows is None else "Steer it") if able else "See what it does"
         lines.append(f"{seen}:  {again(config, 'view', f'run={run}')}")
     if not able and finished:
         longer = f"total_frames={2 * config.total_frames}"
@@ -104,6 +106,9 @@ def figures(metrics: Mapping[str, float], walks: bool = True) -> str:
         rates = f"{metrics['followed_rate']:.0%} of the commands followed, falls {metrics['fall_rate']:.0%}"
         return f"{rates}, errors {errors[0]} forward, {errors[1]} to the side, {errors[2]}"
     success = [f"success {metrics['success_rate']:.0%}"] if walks else []
+    if "apex_error" in metrics:
+        falls = f"falls {metrics['fall_rate']:.0%}"
+        return ", ".join([*success, falls, f"apex {metrics['apex_mean']:.3f} m, off by {metrics['apex_error']:.3f} m"])
     return ", ".join([*success, f"{metrics['distance_mean']:.1f} m at {metrics['velocity_mean']:.2f} m/s"])
 
 

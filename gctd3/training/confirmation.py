@@ -80,7 +80,7 @@ def described(metrics: dict[str, float], episodes: int, sure: bool) -> str:
     """Describe a confirmation: from how many starts, whether the conditions are met, and what was seen."""
     verdict = "meets the conditions too" if sure else "misses the conditions that it met"
     shown = [f"return {metrics['return_mean']:.0f}"]
-    if "followed_rate" in metrics:
+    if "followed_rate" in metrics or "apex_error" in metrics:
         shown += [figures(metrics)]
     else:
         shown += [f"success {metrics['success_rate']:.0%}", f"{metrics['velocity_mean']:.2f} m/s"]

@@ -16,6 +16,7 @@ from gctd3.data.demonstration import Demonstration
 from gctd3.data.evolution import Evolution
 from gctd3.data.exploration import Explorer
 from gctd3.data.gait_policy import ByClock
+from gctd3.data.jumping import Jumping
 from gctd3.data.replay import Replay
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.tasks.task import Task
@@ -26,8 +27,9 @@ class GaitImitation:
     """Let the algorithm of a training imitate the fittest gait of the warm-up, if its settings ask for it.
 
     A policy with a clock imitates the gait at every observation of the replay. One without a clock learns it from what
-    robots observe and do while they follow it. A policy that begins as that of another run is held to that policy, so
-    that critics, which first have to learn what is new, do not make it forget to walk.
+    robots observe and do while they follow it, and one that jumps at what they observe then. A policy that begins as
+    that of another run is held to that policy, so that critics, which first have to learn what is new, do not make it
+    forget to walk.
 
     Args:
         settings: Settings of the training.
@@ -47,12 +49,16 @@ class GaitImitation:
         self._initial = algorithm.policy() if self._asked else None
 
     def shown_gait(self, explorer: Explorer) -> Evolution | None:
-        """Return the gaits of the warm-up, while it lasts, if a policy without a clock is to learn the fittest one."""
-        gait, asked = explorer.rhythm, self._asked and self._initial is None and self.task.gait is None
+        """Return the gaits of the warm-up, while it lasts, if a policy is to learn the fittest one from robots.
+
+        That is a policy without a clock, or one that jumps.
+        """
+        gait = explorer.rhythm
+        asked = self._asked and self._initial is None and (self.task.gait is None or isinstance(gait, Jumping))
         return gait if asked and isinstance(gait, Evolution) and explorer.warming_up else None
 
     def demonstrates(self, explorer: Explorer) -> bool:
-        """Return whether robots follow the fittest gait from the next step on, for a policy without a clock."""
+        """Return whether robots follow the fittest gait from the next step on, for a policy to learn it from them."""
         gait = self.shown_gait(explorer)
         return gait is not None and (gait.shows or gait.decides)
 
@@ -80,10 +86,13 @@ class GaitImitation:
             return
         if self._initial is not None:
             algorithm.imitation = Imitation(settings, partial(_action, self._initial))
-        elif len(self.demonstration):
-            algorithm.imitation = Imitation(settings, _demonstrated, self.demonstration.sample)
-        elif task.gait is not None and isinstance(gait, Evolution) and gait.tried:
-            algorithm.imitation = Imitation(settings, ByClock(gait, cast(SimulatedTask, task)).action)
+            return
+        sample = self.demonstration.sample if len(self.demonstration) else None
+        if task.gait is not None and isinstance(gait, Evolution) and gait.tried:
+            # What the gait does at the observed time, without the noise.
+            algorithm.imitation = Imitation(settings, ByClock(gait, cast(SimulatedTask, task)).action, sample)
+        elif sample is not None:
+            algorithm.imitation = Imitation(settings, _demonstrated, sample)
 
     def failed(self, algorithm: Algorithm, in_a_row: int, restarts: int) -> bool:
         """Return whether a gait that the actor has not learnt on from failed, and another one is to be looked for.

@@ -35,6 +35,9 @@ COLUMNS = (
     "error_turn",
     "followed_rate",
     "fall_rate",
+    # Of jumps to a commanded height.
+    "apex_mean",
+    "apex_error",
     # Whether the policy met the conditions from other starts too, where that was tried: 1 or 0.
     "confirmed",
 )

@@ -20,6 +20,7 @@ from gctd3.files import new_file
 from gctd3.robots.geometry import lowest_point
 from gctd3.robots.robot import Robot
 from gctd3.tasks.ground import Ground
+from gctd3.tasks.jump_memory import jumped
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.viz.live_session import LiveWalk, Moment, foot_geoms
 from gctd3.viz.offscreen import Canvas, find_backend
@@ -49,7 +50,7 @@ class Walk:
         rays: Where the rays of height scans meet the terrain, shape ``[T, K, 3]`` (m); ``None`` without terrain.
         origin: Place on the terrain from which distance counts, shape ``[2]`` (m).
         ground: The terrain; ``None`` for a plane.
-        words: Kind and level of the terrain in words.
+        words: Kind and level of the terrain, and the commanded height of a jump, in words.
     """
 
     qpos: np.ndarray
@@ -72,7 +73,9 @@ def record(policy: TensorDictModuleBase, task: SimulatedTask, seed: int, most_st
     live = LiveWalk(policy, task, seed)
     rows: list[Moment] = []
     memory = live.simulation.memory
-    origin, words = start_of(task, memory), name_of(task, memory)
+    jump = jumped(memory)
+    asked = "" if jump is None else f"asked for {jump[0, 0]:.2f} m"
+    origin, words = start_of(task, memory), "   ".join(filter(None, (name_of(task, memory), asked)))
     while not live.now.done and (most_steps is None or len(rows) < most_steps):
         rows.append(live.step())
     return Walk(

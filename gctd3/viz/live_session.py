@@ -98,8 +98,10 @@ class LiveWalk:
         self._root = robot.base.root
         ground = [g for g in range(robot.model.ngeom) if robot.model.geom_bodyid[g] == 0]
         self._rubbing, self._mass = ground + foot_geoms(robot), float(robot.model.body_mass[self._root])
-        self._box = np.array(list(task.command_ranges().values())).reshape(-1, 2)
-        self._axes = [COMMANDS.index(name) for name in task.command_ranges()]
+        # A commanded velocity is steered; the height of a jump is drawn with the episode.
+        steered = {name: span for name, span in task.command_ranges().items() if name in COMMANDS}
+        self._box = np.array(list(steered.values())).reshape(-1, 2)
+        self._axes = [COMMANDS.index(name) for name in steered]
         self._steered: np.ndarray | None = None
         self._moved: np.ndarray | None = None
         self.reset(seed)

@@ -99,7 +99,8 @@ WRONG = {
     "reward.terms={}": ["reward.terms={} removes nothing", "reward.terms.swing=null"],
     "stop_when.at_least={}": ["stop_when.at_least={} removes nothing", "'~stop_when.at_least.success_rate' "],
     "reward=null": [
-        "reward=null: reward cannot be left out. Options of reward: empty, paper, table3, tracking, velocity, walk."
+        "reward=null: reward cannot be left out. Options of reward: "
+        "empty, jump, paper, table3, tracking, velocity, walk."
     ],
     "task=null": ["task=null: task cannot be left out. Options of task: ant, ", "walk, "],
     "reward.terms.fall._target_=gctd3.Living": [
@@ -209,7 +210,7 @@ def test_a_run_that_is_continued_keeps_its_terms(capfd, tmp_path):
 def test_a_reward_to_evaluate_under_is_chosen_before_it_is_changed(capfd, tmp_path, key):
     assert command("evaluate", f"out={tmp_path}", key) == 2
     error = capfd.readouterr().err
-    known = "empty, paper, table3, tracking, velocity, walk"
+    known = "empty, jump, paper, table3, tracking, velocity, walk"
     assert f"reward has no keys as it is: begin with reward=..., which is one of {known}." in error
     assert command("evaluate", f"out={tmp_path}", "reward=null", "episodes=0") == 2
     assert "episodes must be at least 1" in capfd.readouterr().err
