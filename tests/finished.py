@@ -15,6 +15,8 @@ from running import train
 
 # A library's episodes have no falls in so few frames, and an evaluation is as long as they are.
 LIBRARY = ["task=walker2d", "env.num_envs=2", "evaluation.episodes=1", "evaluation.every=200", "total_frames=120"]
+# Robots on four feet stand until their time is over.
+BRIEF = "task.terminations.time_limit.steps=100"
 # Robots that try jumps for an episode, and show the fittest ones in a second one.
 JUMP = ["task=jump", "env.num_envs=32", "exploration.learning_starts=8960", "replay.buffer_size=20000"]
 JUMP += ["total_frames=9088", "evaluation.every=64", "imitation.updates=3"]
@@ -26,8 +28,8 @@ RUNS = {
     "td3 seed 1": (["algo=td3", "seed=1"], ()),
     "ddpg": (["algo=ddpg"], ()),
     "sac": (["algo=sac"], ()),
-    "quadruped": (["algo=gctd3", "robot=quadruped", "imitation.updates=3"], ()),
-    "velocity": (["algo=gctd3", "robot=quadruped", "task=velocity", "imitation.updates=3"], ()),
+    "quadruped": (["algo=gctd3", "robot=quadruped", "imitation.updates=3", BRIEF], ()),
+    "velocity": (["algo=gctd3", "robot=quadruped", "task=velocity", "imitation.updates=3", BRIEF], ()),
     "jump": (
         ["algo=gctd3", *JUMP],
         ("env.num_envs", "exploration.learning_starts", "replay.buffer_size", "total_frames", "evaluation.every"),

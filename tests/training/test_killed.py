@@ -66,7 +66,7 @@ def test_a_signal_finishes_the_step_and_says_how_to_go_on(tmp_path, number, code
 def test_a_second_signal_leaves_at_once(tmp_path):
     run = tmp_path / "run"
     # Steps of minutes, so that the first signal alone would not end it soon.
-    running = start(run, *LONG, "gradient_steps=100_000")
+    running = start(run, *LONG, "gradient_steps=100_000", "exploration.learning_starts=4")
     wait_for(lambda: (run / ".hydra" / "config.yaml").exists())
     time.sleep(2.0)
     running.send_signal(signal.SIGINT)

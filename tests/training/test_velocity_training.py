@@ -3,6 +3,7 @@
 from itertools import product
 
 import pytest
+from finished import BRIEF
 from resuming import assert_same_run, stopped
 from running import command, rows, train
 
@@ -22,7 +23,7 @@ def test_errors_of_the_commands_are_recorded(finished):
 @pytest.mark.nightly
 def test_stopped_and_resumed_equals_left_alone(finished, tmp_path):
     """The commands that are due, and each robot's share of the box, are saved and restored."""
-    part = stopped(tmp_path / "part", 128, "algo=gctd3", *COMMANDED)
+    part = stopped(tmp_path / "part", 128, "algo=gctd3", *COMMANDED, BRIEF)
     assert command("train", f"resume={part}") == 0
     assert_same_run(finished["velocity"], part)
 
