@@ -51,6 +51,7 @@ def test_a_small_run_measures_and_is_sized_again_from_its_file(scale_out, tmp_pa
         key: TINY[key]
         for key in ("env.num_envs", "threads", "replay.batch_size", "replay.buffer_size", "network.hidden")
     }
+    few["gradient_steps"] = 4
     more = "more=" + " ".join(f"{key}={value}" for key, value in few.items())
     file = tmp_path / "scale_out.json"
     monkeypatch.setattr(sys, "argv", ["scale_out.py", "workers=1", "seconds=0.3", "rounds=1", f"out={file}", more])
