@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from gctd3.data.evolution import Evolution
+from gctd3.data.joint_pairs import JointPairs
 from gctd3.data.leg_poses import drawn_up, places_in_legs
 from gctd3.data.separable_cma import SeparableCMA
 from gctd3.data.trials import NOTHING, Shown, Trials
@@ -74,18 +75,16 @@ class Jumping(Evolution):
     def __init__(
         self, robot: Robot, num_robots: int, levels: Sequence[float], frequency: float, trials: Trials
     ) -> None:
-        partner = torch.from_numpy(robot.action_mirror[0])
-        own = torch.arange(len(partner))
-        follows = own > partner
-        leaders, pair_of = torch.unique(torch.minimum(own, partner), return_inverse=True)
+        joints = JointPairs.of(robot)
+        leaders, pair_of = joints.leaders, joints.pair_of
         super().__init__(num_robots, len(leaders), replace(trials, least_speed=None), frequency)
         centre, scale = robot.action_map
         names = [joint.name for joint in robot.joints]
         standing = robot.home_angles[[names.index(name) for name in robot.actuated]]
         home = torch.from_numpy(np.clip((standing - centre) / scale, -1.0, 1.0)).float()[leaders]
         like = pair_of[places_in_legs(robot)][leaders]
-        sign = torch.where(follows, torch.from_numpy(robot.action_mirror[1]), 1.0).float()
-        constants = {"levels": torch.tensor(list(levels)), "home": home, "pair_of": pair_of, "like": like, "sign": sign}
+        constants = {"levels": torch.tensor(list(levels)), "home": home, "pair_of": pair_of, "like": like}
+        constants["sign"] = joints.sign
         for name, values in constants.items():
             self.register_buffer(name, values, persistent=False)
         kinds, pairs = len(levels), len(leaders)

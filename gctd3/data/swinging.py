@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from gctd3.data.evolution import Evolution
+from gctd3.data.joint_pairs import JointPairs
 from gctd3.data.trials import NOTHING, Shown, Trials
 from gctd3.robots.robot import Robot
 
@@ -43,18 +44,14 @@ class Swinging(Evolution):
     SHOWN = 0.15
 
     def __init__(self, robot: Robot, num_robots: int, frequency: Sequence[float], trials: Trials) -> None:
-        partner = torch.from_numpy(robot.action_mirror[0])
-        own = torch.arange(len(partner))
-        # In each pair the joint that the robot lists first leads, and the other lags by half a period.
-        follows = own > partner
-        leaders, pair_of = torch.unique(torch.minimum(own, partner), return_inverse=True)
+        # In each pair the joint that leads is half a period ahead of the other.
+        pairs = JointPairs.of(robot)
         low, high = frequency
         genes = {"frequency": (low, high, False)}  # Hz
-        super().__init__(num_robots, len(leaders), trials, genes=genes)
-        sign = torch.where(follows, torch.from_numpy(robot.action_mirror[1]), 1.0).float()
-        self.register_buffer("pair_of", pair_of, persistent=False)
-        self.register_buffer("lag", 0.5 * follows, persistent=False)
-        self.register_buffer("sign", sign, persistent=False)
+        super().__init__(num_robots, len(pairs.leaders), trials, genes=genes)
+        self.register_buffer("pair_of", pairs.pair_of, persistent=False)
+        self.register_buffer("lag", 0.5 * pairs.follows, persistent=False)
+        self.register_buffer("sign", pairs.sign, persistent=False)
 
     def act(self, genes: Mapping[str, Tensor], cycles: Tensor, shown: Shown = NOTHING) -> Tensor:
         """Return the actions ``[B, A]`` of gaits, which follow no command; see :meth:`.Evolution.act`."""

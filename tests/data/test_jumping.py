@@ -121,7 +121,7 @@ def test_the_last_round_tries_the_fittest_again_and_the_mean_wins(task):
 
 
 def test_a_fall_costs(task):
-    """Of equal returns that of a robot that fell, after 4 of 10 steps, is lower by the penalty."""
+    """Lower the return of a robot that fell, after 4 of 10 steps, by the penalty."""
     jumps = jumps_of(task, robots=2)
     commands = torch.tensor([[0.1], [0.2]])
     for step in range(LIMIT + 1):

@@ -11,7 +11,7 @@ def searched(levels=2, length=6):
 
 
 def test_it_finds_the_bottom_of_a_narrow_bowl():
-    """Of an ellipsoid whose axes differ by a factor of 30, at a place outside the first draws."""
+    """Find the top of an ellipsoid whose axes differ by a factor of 30, outside the first draws."""
     search, target = searched(), torch.linspace(1.0, 2.0, 6)
     weights = torch.logspace(0.0, 3.0, 6)
     level = torch.zeros(20, dtype=torch.int64)
@@ -34,7 +34,7 @@ def test_only_the_order_of_the_fitness_counts():
 
 
 def test_the_mean_moves_by_the_weighted_mean_of_the_fittest():
-    """Of eight, the best two count: with weights log(2.5) - log(1 and 2), over their sum, by hand."""
+    """Weigh the best two of eight, by log(2.5) - log(1 and 2) over their sum, by hand."""
     search = searched(levels=1, length=3)
     tried = torch.linspace(-0.2, 0.2, 24).reshape(8, 3)
     search.step(0, tried, torch.arange(8.0))

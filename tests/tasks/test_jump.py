@@ -62,7 +62,7 @@ def sensed_at(z=0.0, feet=(True, True), speed=0.0, other=False, shank=False, til
 
 @pytest.mark.parametrize("robot", ["biped", "quadruped", "hexapod"])
 def test_soles_are_where_the_simulator_has_them(robot):
-    """Of random poses and orientations, against MuJoCo's own kinematics; and the same on PyTorch."""
+    """Compare those of random poses and orientations with MuJoCo's kinematics, and the same on PyTorch."""
     task, rng, count = task_of(robot), np.random.default_rng(0), 30
     own = task.robot
     qpos = np.tile(own.standing_qpos, (count, 1))
