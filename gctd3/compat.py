@@ -11,9 +11,11 @@ import contextlib
 import functools
 import importlib
 import os
+import pickle
 import sys
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from gctd3.errors import GCTD3Error
@@ -401,6 +403,40 @@ def complete_compositions(complete: Callable[[Any], None]) -> None:
         return config
 
     setattr(ConfigLoaderImpl, name, completed)
+
+
+def read_packaged_yamls_once() -> None:
+    """Have Hydra parse each YAML of an installed package once a process, and again where it was changed.
+
+    A composition reads some thirty of them, a third of its time, and a process may compose often: for each run of a
+    sweep, for each environment that it makes. A second call changes nothing.
+
+    Private: ``SourcesRegistry`` and ``ImportlibResourcesConfigSource._read_config`` of the package ``hydra._internal``
+    (hydra-core 1.3.8).
+    """
+    from hydra._internal.sources_registry import SourcesRegistry
+    from hydra.core.plugins import Plugins
+
+    # Hydra imports its plug-ins by hand, so that the class in ``sys.modules`` is not the one that it uses.
+    Plugins.instance()
+    cls, name = read(SourcesRegistry, "instance", HYDRA)().resolve("pkg"), "_read_config"
+    parse = read(cls, name, HYDRA)
+    if hasattr(parse, "__wrapped__"):
+        return
+    known: dict[tuple[Any, ...], bytes] = {}
+
+    @functools.wraps(parse)
+    def read_once(source: Any, file: Any) -> Any:  # noqa: ANN401 - Hydra's
+        if not isinstance(file, Path):  # in an archive
+            return parse(source, file)
+        status = file.stat()
+        key = source.provider, source.path, file, status.st_mtime_ns, status.st_size
+        # Pickled, since Hydra takes the list of defaults out of what it is given, and in a fifth of a deep copy's time.
+        if key not in known:
+            known[key] = pickle.dumps(parse(source, file))
+        return pickle.loads(known[key])
+
+    setattr(cls, name, read_once)
 
 
 # viser

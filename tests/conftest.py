@@ -1,5 +1,7 @@
 """Fixtures for all tests: the paper's robot, its graph and its task, finished runs, and reproducible settings."""
 
+import gc
+
 import pytest
 
 # Nothing heavy is imported here: the process that hands out the tests reads this file before the others can begin.
@@ -12,6 +14,12 @@ def pytest_collection():
     # Derandomised, so that a failure seen once is seen by everybody; no deadline, since machines differ.
     settings.register_profile("gctd3", deadline=None, derandomize=True)
     settings.load_profile("gctd3")
+
+
+def pytest_collection_finish(session):
+    """Keep the collector of garbage from going through the modules and tests of the whole suite again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_runtest_setup(item):

@@ -11,7 +11,7 @@ is Hydra's own way, but names each class twice, gives nothing to a class from ou
 would be left over under another. Prefixing unlisted keys with ``++`` would accept misspelt ones, and reach neither
 YAMLs nor sweeps.
 
-Hydra has no plug-in for that moment, so one method of its loader is wrapped, in :mod:`gctd3.compat`. Importing
+Hydra has no plug-in for that moment, so a method of its loader is wrapped, in :mod:`gctd3.compat`. Importing
 ``gctd3.conf`` does it, and Hydra cannot read ``pkg://gctd3.conf`` without importing that: so every process composes
 alike, including the processes of a launcher and of other projects.
 """
@@ -22,7 +22,7 @@ from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf, flag_override
 
-from gctd3.compat import complete_compositions
+from gctd3.compat import complete_compositions, read_packaged_yamls_once
 from gctd3.config.fields import TARGET, defaults_of, find, is_settings
 from gctd3.config.help import conf
 from gctd3.errors import ConfigError, PackageError
@@ -34,6 +34,7 @@ _HYDRAS = "hydra"  # Hydra's own part of a configuration
 def install() -> None:
     """Install the completion of every configuration that Hydra composes; further calls change nothing."""
     complete_compositions(complete)
+    read_packaged_yamls_once()
 
 
 def complete(config: DictConfig | ListConfig, ours: bool = False, path: str = "") -> None:

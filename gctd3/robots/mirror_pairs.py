@@ -9,7 +9,7 @@ told apart by their anchors or by what hangs on them.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -121,18 +121,27 @@ def pair_joints(
     return _Matching(model, root, joints, pose, lateral, last).pairs()
 
 
-def reflected_sign(model: mujoco.MjModel, pose: np.ndarray, joint: Joint, partner: Joint, lateral: np.ndarray) -> float:
-    """Return +1 if equal angles of the two joints mirror each other, -1 if opposite ones do.
+def reflected_signs(
+    model: mujoco.MjModel,
+    pose: np.ndarray,
+    joints: Sequence[Joint],
+    images: Mapping[str, str],
+    lateral: np.ndarray,
+) -> dict[str, float]:
+    """Return for each joint +1 if equal angles of it and its mirror image mirror each other, -1 if opposite ones do.
 
     Args:
         model: The model.
         pose: The :func:`zero_pose`.
-        joint: A joint.
-        partner: Its mirror image.
+        joints: The joints.
+        images: The mirror image of each joint, by name.
         lateral: Unit vector across the sagittal plane, shape ``[3]``.
     """
     axes = _pose_of(model, pose).xaxis
-    return 1.0 if float(reflect_axes(axes[joint.id], [joint], lateral)[0] @ axes[partner.id]) > 0.0 else -1.0
+    reflected = reflect_axes(axes[[joint.id for joint in joints]], joints, lateral)
+    ids = {joint.name: joint.id for joint in joints}
+    along = [float(axis @ axes[ids[images[joint.name]]]) for axis, joint in zip(reflected, joints, strict=True)]
+    return {joint.name: 1.0 if same > 0.0 else -1.0 for joint, same in zip(joints, along, strict=True)}
 
 
 def reflect_axes(axes: np.ndarray, joints: Sequence[Joint], lateral: np.ndarray) -> np.ndarray:

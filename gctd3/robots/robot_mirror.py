@@ -11,7 +11,7 @@ import numpy as np
 from gctd3.robots.feet import foot_place
 from gctd3.robots.floating_base import Base
 from gctd3.robots.mirror_feet import pair_feet
-from gctd3.robots.mirror_pairs import Pairs, pair_joints, reflected_sign, swap_side, zero_pose
+from gctd3.robots.mirror_pairs import Pairs, pair_joints, reflected_signs, swap_side, zero_pose
 from gctd3.robots.mjcf import Joint, body_name, standing_pose
 
 
@@ -47,12 +47,8 @@ class RobotMirror:
     @cached_property
     def signs(self) -> dict[str, float]:
         """Return for each joint +1 if equal angles of it and its image mirror each other, -1 if opposite ones do."""
-        joints = {joint.name: joint for joint in self._joints}
-        pose, lateral = zero_pose(self._model, self._joints, standing_pose(self._model)), self._base.frame[1]
-        return {
-            name: reflected_sign(self._model, pose, joints[name], joints[other], lateral)
-            for name, other in self.pairs.images.items()
-        }
+        pose = zero_pose(self._model, self._joints, standing_pose(self._model))
+        return reflected_signs(self._model, pose, self._joints, self.pairs.images, self._base.frame[1])
 
     @cached_property
     def feet(self) -> tuple[int, ...]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from hydra import compose
+from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
 from gctd3.config.build import again
@@ -39,12 +41,18 @@ def opening(config: DictConfig, task: str, run: Path) -> str:
 
 def differences(config: DictConfig) -> Iterator[str]:
     """List the settings of a training that differ from those of a command line without arguments, in their order."""
-    defaults, own = flat(compose("config")), flat(config)
+    defaults, own = _defaults(str(GlobalHydra.instance().config_loader().get_search_path())), flat(config)
     for key, value in own.items():
         if key in _OWN or (key in defaults and defaults[key] == value):
             continue
         before = f"  (default {_text(defaults[key])})" if key in defaults else ""
         yield f"{key}={_text(value)}{before}"
+
+
+@functools.cache
+def _defaults(places: str) -> Mapping[str, Any]:
+    """Compose a command line without arguments, once for all runs of a sweep that look for YAMLs in these places."""
+    return flat(compose("config"))
 
 
 def _text(value: Any) -> str:  # noqa: ANN401 - a value of a configuration

@@ -291,6 +291,33 @@ def test_own_launcher():
 # viser
 
 
+YAML = "defaults:\n- _self_\n- group: one\nkey: {}\n"
+
+
+def test_packaged_yamls_are_parsed_once_and_again_when_they_were_changed(tmp_path, monkeypatch):
+    from hydra import compose, initialize_config_module
+
+    package = tmp_path / "some_yamls"
+    (package / "group").mkdir(parents=True)
+    for file in (package / "__init__.py", package / "group" / "__init__.py"):
+        file.touch()
+    (package / "config.yaml").write_text(YAML.format(1))
+    (package / "group" / "one.yaml").write_text("list: [1, {a: 1e-3}]\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    read = []
+    load = OmegaConf.load
+    monkeypatch.setattr(OmegaConf, "load", lambda file: read.append(file.name) or load(file))
+    compat.read_packaged_yamls_once()
+    compat.read_packaged_yamls_once()
+    with initialize_config_module("some_yamls", version_base="1.3"):
+        first, second = compose("config"), compose("config", ["key=3"])
+        assert first == {"key": 1, "group": {"list": [1, {"a": 0.001}]}} and second == {**first, "key": 3}
+        files = [name for name in read if "some_yamls" in name]
+        assert sorted(files) == [str(package / "config.yaml"), str(package / "group" / "one.yaml")]
+        (package / "config.yaml").write_text(YAML.format(20))
+        assert compose("config").key == 20
+
+
 def test_clients_of_viser_are_woken_in_the_loop():
     """A message of another thread neither wakes anybody there nor is lost."""
     pytest.importorskip("viser")
