@@ -49,7 +49,9 @@ def test_there_is_something_to_test():
 def test_every_option_builds(group, option):
     # One for a robot of one's own lacks its file alone.
     name = ["robot.name=quadruped"] if group == "robot" and option.startswith(FREE) else []
-    assert isinstance(build(composed(f"{group}={option}", *name)), TrainSettings)
+    # A robot's recipe for one task holds settings of that task.
+    task = ["task=jump"] if group == "recipe" and option.startswith("jump_") else []
+    assert isinstance(build(composed(f"{group}={option}", *name, *task)), TrainSettings)
 
 
 def test_an_empty_reward_is_there_to_be_filled():
