@@ -20,6 +20,8 @@ pytest.importorskip("matplotlib")
 from gctd3.comparison import filmstrips
 from gctd3.comparison.gaits import GAIT
 
+# Its pictures alone take ten seconds.
+pytestmark = pytest.mark.nightly
 # As many groups as the page has room for at 1280 pixels.
 TAUS = (0.001, 0.002, 0.003, 0.004, 0.005, 0.006)
 GROUPS = [f"gctd3 tau={tau}" for tau in TAUS]
@@ -139,7 +141,6 @@ def films():
     return {f"{GROUPS[0]}, seed 0: a stride"}
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("width", [375, 1280])
 def test_every_figure_is_there_and_has_a_size(opened, width):
     page = opened(width)
@@ -155,7 +156,6 @@ def test_every_figure_is_there_and_has_a_size(opened, width):
     assert len(every(page, ".film small", "e.textContent.match(/^[\\d.]+ s, [\\d.]+ m$/)[0]")) == len(frames)
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(("scheme", "width"), list(product(("light", "dark"), (375, 1280))))
 def test_all_of_it_can_be_read(opened, scheme, width):
     page = opened(width, scheme)
@@ -170,8 +170,7 @@ def test_all_of_it_can_be_read(opened, scheme, width):
     assert min(every(page, "small, td, th, p", "parseFloat(getComputedStyle(e).fontSize)")) >= 11
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("width", [1280, pytest.param(1920, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("width", [1280, 1920])
 def test_no_table_is_cut(opened, width):
     page = opened(width)
     tables = every(page, ".scroll", "[e.ariaLabel, e.scrollWidth - e.clientWidth]")
@@ -179,7 +178,6 @@ def test_no_table_is_cut(opened, width):
     assert every(page, "[aria-label=Gaits] th", "e.textContent") == ["", *GROUPS]
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("width", [390, 1280])
 def test_a_sentence_stands_above_the_comparisons_and_the_rest_is_folded(opened, width):
     page = opened(width, unfolded=False)
@@ -228,7 +226,6 @@ def test_the_first_column_stays_where_a_table_scrolls(opened):
     assert every(page, f"{gaits} tr > :nth-child(2)", place) == [left - 50 for left in cells]
 
 
-@pytest.mark.nightly
 def test_right_and_left_are_told_apart(opened):
     page = opened(1280)
     for group in GROUPS[:2]:
