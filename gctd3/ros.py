@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from gctd3.config.help import fail, helped
+from gctd3.config.help import fail, helped, unread
 from gctd3.config.terminal import prepare_output
 from gctd3.errors import ConfigError, GCTD3Error
 from gctd3.signals import Interruption
@@ -49,6 +49,8 @@ def main() -> None:
             raise SystemExit(_run(parse(RosSettings, sys.argv[1:])))
     except ConfigError as error:
         fail(str(error))
+    except BrokenPipeError:
+        unread()
     except (GCTD3Error, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(FAILED) from None

@@ -27,13 +27,17 @@ codecs.register_error(_ERRORS, _plain)
 
 
 def prepare_output() -> None:
-    """Let standard output and standard error show every text, and be there even if they were closed."""
+    """Let standard output and standard error show every text, line by line, and be there even if they were closed.
+
+    A pipe or a file is shown a line as it is written, as a terminal is: so a log can be followed, and a reader who has
+    gone is noticed by the line that nobody reads, not when Python writes the rest at its exit and fails with code 120.
+    """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:  # closed by the shell: `>&-`
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 - until the process ends
         elif isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors=_ERRORS)
+            stream.reconfigure(errors=_ERRORS, line_buffering=True)
 
 
 class Enduring:

@@ -1,5 +1,6 @@
 """Every command answers wrong input with one message that names it and exit code 2, and writes nothing."""
 
+import os
 import re
 import shutil
 import signal
@@ -137,9 +138,16 @@ def test_an_import_that_a_signal_breaks_off_is_no_missing_package(capsys, monkey
     assert error.endswith("\nInterrupted.\n") and "numpy" not in error
 
 
-def test_output_that_nobody_reads_is_no_error():
-    call = [sys.executable, "-m", "gctd3.graph", "robot=biped"]
-    with subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as cut:
+# Python holds output to a pipe back, unless this is set.
+AT_ONCE = "PYTHONUNBUFFERED"
+CALLS = ["gctd3.graph robot=biped", "gctd3", "gctd3 train --help", "gctd3.ros --help", "gctd3.config.reference"]
+
+
+@pytest.mark.parametrize("call", [CALLS[0], *(pytest.param(call, marks=pytest.mark.nightly) for call in CALLS[1:])])
+@pytest.mark.parametrize("at_once", ["", pytest.param("1", marks=pytest.mark.nightly)])
+def test_output_that_nobody_reads_is_no_error(call, at_once):
+    words, environment = [sys.executable, "-m", *call.split()], {**os.environ, AT_ONCE: at_once}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment) as cut:
         cut.stdout.close()
         assert cut.stderr.read() == b""
     assert cut.returncode == 141

@@ -26,7 +26,9 @@ from gctd3.training.run_lock import only_one
 def start(run, *overrides):
     arguments = [*tiny(run, *overrides)] if not run.exists() else [f"resume={run}"]
     module = [sys.executable, "-m", "gctd3.train", *arguments]
-    return subprocess.Popen(module, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # As where a user runs it, output to a pipe is not written at once.
+    environment = {**os.environ, "PYTHONUNBUFFERED": ""}
+    return subprocess.Popen(module, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
 
 
 LONG = ["total_frames=4000", "evaluation.every=400", "checkpoint_every=0.2"]
