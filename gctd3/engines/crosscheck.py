@@ -175,8 +175,8 @@ def cross_check(settings: CrossCheckSettings) -> CrossCheck:
 
 def open_engine(settings: CrossCheckSettings, task: SimulatedTask, policy: Policy, folder: Path) -> OtherEngine:
     """Open the other engine with the task's robot, whose URDF or SDF is written to a folder."""
-    chosen = {"dart": Dart, "bullet": Bullet, "gazebo": Gazebo}[settings.engine]
-    return chosen(task.robot, policy.contract, settings.timestep, settings.armature, folder)
+    chosen: dict[str, type[Dart | Bullet | Gazebo]] = {"dart": Dart, "bullet": Bullet, "gazebo": Gazebo}
+    return chosen[settings.engine](task.robot, policy.contract, settings.timestep, settings.armature, folder)
 
 
 def table(check: CrossCheck) -> str:

@@ -116,7 +116,7 @@ class OtherEngine(Engine):
 
     @abstractmethod
     def open(self) -> None:
-        """Load the robot's file, the ground and their friction; joints have neither motors nor damping of the engine's."""
+        """Load the robot's file, the ground, their friction; joints have neither motors nor damping of the engine's."""
 
     @abstractmethod
     def put(self, angles: np.ndarray, rates: np.ndarray, base: Pose | None) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import re
 import select
 import signal
 import subprocess
 import weakref
-from pathlib import Path
 from typing import IO, ClassVar
 from xml.etree import ElementTree
 
@@ -14,12 +15,14 @@ import numpy as np
 
 from gctd3.engines.engine import OtherEngine, Pose, ground_friction
 from gctd3.engines.gazebo_program import plugin, program
-from gctd3.errors import EngineError
+from gctd3.errors import EngineError, RobotError
+from gctd3.robots.draft import listed
 from gctd3.robots.unsaid import Format
 
 _ROUGH = 1e3  # friction of the ground: of two the library takes the smaller
 _SIDE = 400.0  # m of the ground
 _PATIENCE = 60.0  # s that an answer may take
+_COLOUR = re.compile("\x1b\\[[0-9;]*m")
 _BASE = 18  # numbers of a base: origin, rotation matrix by rows, velocity, angular velocity
 
 
@@ -30,7 +33,21 @@ class Gazebo(OtherEngine):
     form: ClassVar[Format] = "sdf"
 
     def open(self) -> None:
-        """Write the world around the SDF, and start the program with it."""
+        """Write the world around the SDF, and start the program with it.
+
+        Raises:
+            RobotError: If a mesh may collide, or a name has "::", which SDF keeps for itself.
+            EngineError: If the program cannot be compiled, or does not begin.
+        """
+        meshes = [link.name for link in self.links.links if any(s.collides and s.mesh >= 0 for s in link.solids)]
+        if meshes:
+            raise RobotError(
+                f"{self.robot.path}: the shapes of {listed(meshes)} that collide are meshes, which Gazebo's library "
+                "does not read from an SDF; engine=dart and engine=bullet read them."
+            )
+        scoped = [name for name in (*self.joints, *(link.name for link in self.links.links)) if "::" in name]
+        if scoped:
+            raise RobotError(f"{self.robot.path}: an SDF cannot have the names {listed(scoped)}, for their '::'.")
         world = self.file.with_name("world.sdf")
         world.write_text(self._world(self.file.read_text(encoding="utf-8")), encoding="utf-8")
         self._names = tuple(link.name for link in self.links.links)
@@ -41,7 +58,13 @@ class Gazebo(OtherEngine):
         made = program(self.file.parent)
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
-                [str(made), *map(str, arguments)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, bufsize=0
+                [str(made), *map(str, arguments)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                bufsize=0,
+                # The libraries keep logs at home.
+                env={**os.environ, "HOME": str(self.file.parent)},
             )
         weakref.finalize(self, _end, self._process)
         assert self._process.stdin is not None and self._process.stdout is not None
@@ -115,6 +138,7 @@ class Gazebo(OtherEngine):
         wanted, answer = 8 * self._wide, b""
         while len(answer) < wanted:
             if not self._ready.poll(1000 * _PATIENCE):
+                self._process.kill()
                 raise EngineError(f"Gazebo's physics library has not answered for {_PATIENCE:g} s.")
             part = self._from.read(wanted - len(answer))
             if not part:
@@ -124,11 +148,13 @@ class Gazebo(OtherEngine):
 
     def _ended(self) -> EngineError:
         """Return the error of a program that has ended, with the last line that it wrote."""
-        code = self._process.wait()
-        lines = self._log.read_text(encoding="utf-8", errors="replace").split("\n") if self._log.exists() else []
-        said = [" ".join(line.split()) for line in lines if line.strip()]
-        how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-        return EngineError(f"Gazebo's physics library has ended, {how}{f': {said[-1]}' if said else '.'}")
+        _end(self._process)
+        code = self._process.returncode
+        lines = _COLOUR.sub("", self._log.read_text(encoding="utf-8", errors="replace")).splitlines()
+        # Its profiler complains that it gets no port, see gazebo.cpp.
+        said = [" ".join(line.split()) for line in lines if line.strip() and "Remotery" not in line]
+        how = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+        return EngineError(f"Gazebo's physics library has ended {how}{f': {said[-1]}' if said else ''}".rstrip(".") + ".")
 
 
 _GROUND = f"""<model name="ground"><static>true</static><link name="link"><collision name="plane">

@@ -53,8 +53,8 @@ def program(folder: Path) -> Path:
     Raises:
         EngineError: If it cannot be compiled.
     """
-    known = (SOURCE.read_text(encoding="utf-8"), *_FLAGS, platform.machine(), _version("g++"))
-    known += tuple(f"{part} {_ask('--modversion', part)}" for part in (LIBRARY, *_PARTS))
+    known = [SOURCE.read_text(encoding="utf-8"), *_FLAGS, platform.machine(), _version("g++")]
+    known += [_ask("--modversion", part) for part in (LIBRARY, *_PARTS)]
     name = f"gazebo-{hashlib.sha256(repr(known).encode()).hexdigest()[:16]}"
     cache = _cache()
     made = (cache or folder) / name
@@ -67,23 +67,29 @@ def program(folder: Path) -> Path:
 def _compile(to: Path) -> None:
     libraries = shlex.split(_ask("--cflags", "--libs", *_PARTS))
     done = subprocess.run(
-        ["g++", *_FLAGS, "-o", str(to), str(SOURCE), *libraries], capture_output=True, text=True, errors="replace"
+        ["g++", *_FLAGS, "-o", str(to), str(SOURCE), *libraries],
+        capture_output=True,
+        text=True,
+        errors="replace",
+        env={**os.environ, "LC_ALL": "C"},
     )
     if done.returncode:
         lines = done.stderr.splitlines()
-        first = next((line for line in lines if "error" in line), lines[-1] if lines else f"exit code {done.returncode}")
-        raise EngineError(f"g++ cannot compile {SOURCE.name} with {LIBRARY} {library_version()}: {first.strip()}")
+        said = [line for line in lines if "error" in line] or lines[-1:] or [f"exit code {done.returncode}"]
+        raise EngineError(f"g++ cannot compile {SOURCE.name} with {LIBRARY} {library_version()}: {said[0].strip()}")
     to.chmod(0o700)
 
 
 def _cache() -> Path | None:
     """Return the user's folder for compiled programs, made if it is not there; ``None`` if others can write to it."""
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path("~", ".cache").expanduser()) / "gctd3"
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "gctd3")
+    if not folder.is_absolute():
+        return None
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError:
         return None
-    return folder if folder.is_absolute() and _own(folder) and os.access(folder, os.W_OK) else None
+    return folder if _own(folder) and os.access(folder, os.W_OK) else None
 
 
 def _own(path: Path) -> bool:
