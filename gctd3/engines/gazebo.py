@@ -148,13 +148,13 @@ class Gazebo(OtherEngine):
 
     def _ended(self) -> EngineError:
         """Return the error of a program that has ended, with the last line that it wrote."""
-        _end(self._process)
-        code = self._process.returncode
+        code = _wait(self._process)
         lines = _COLOUR.sub("", self._log.read_text(encoding="utf-8", errors="replace")).splitlines()
         # Its profiler complains that it gets no port, see gazebo.cpp.
         said = [" ".join(line.split()) for line in lines if line.strip() and "Remotery" not in line]
         how = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
-        return EngineError(f"Gazebo's physics library has ended {how}{f': {said[-1]}' if said else ''}".rstrip(".") + ".")
+        why = f": {said[-1].rstrip('.')}" if said else ""
+        return EngineError(f"Gazebo's physics library has ended {how}{why}.")
 
 
 _GROUND = f"""<model name="ground"><static>true</static><link name="link"><collision name="plane">
@@ -167,8 +167,13 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     for pipe in (process.stdin, process.stdout):
         if pipe is not None:
             pipe.close()
+    _wait(process)
+
+
+def _wait(process: subprocess.Popen[bytes]) -> int:
+    """Return the exit code of a program that is about to end, and is killed if it does not."""
     try:
-        process.wait(5.0)
+        return process.wait(5.0)
     except subprocess.TimeoutExpired:
         process.kill()
-        process.wait()
+        return process.wait()
