@@ -1,4 +1,4 @@
-"""Gazebo's own physics library, ignition-physics with DART, by a program in C++ that it is compiled with."""
+"""Gazebo's own physics library, ignition-physics with DART, in a process of its own: see gazebo.cpp."""
 
 from __future__ import annotations
 
