@@ -60,6 +60,10 @@ class MiddlewareError(GCTD3Error, RuntimeError):
     """Report that ROS is missing, its master or the other node cannot be reached, or a node has fallen silent."""
 
 
+class EngineError(GCTD3Error, RuntimeError):
+    """Report that another physics engine cannot be compiled or started, or has ended."""
+
+
 class RenderError(GCTD3Error, RuntimeError):
     """Report that images or videos cannot be rendered."""
 

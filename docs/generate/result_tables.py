@@ -10,6 +10,8 @@ from typing import Any
 
 from markdown_table import table
 
+from gctd3.engines.settings import TITLES
+
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
 _WALK_HEADS = ("seed", "minutes", "restarts", "return", "velocity m/s", "reached 15 m")
 _GAIT_HEADS = ("hip correlation", "stride Hz", "flight")
@@ -112,7 +114,7 @@ def crosscheck() -> Iterator[str]:
     rows = []
     for row in load("crosscheck")["rows"]:
         one, other = row["mujoco"], row[row["engine"]]
-        title = {"dart": "DART", "bullet": "Bullet"}[row["engine"]] + ("" if row["armature"] else ", no armature")
+        title = TITLES[row["engine"]] + ("" if row["armature"] else ", no armature")
         flight = row["flight_difference_rad"]
         parted = row["partings"]
         rows.append(

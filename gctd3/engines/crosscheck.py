@@ -6,7 +6,6 @@ import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,11 @@ from gctd3.deploy.settings import ExportSettings
 from gctd3.engines.bullet import Bullet
 from gctd3.engines.dart import Dart
 from gctd3.engines.engine import Engine, OtherEngine
+from gctd3.engines.gazebo import Gazebo
 from gctd3.engines.parting import Parting, find_parting, flight_difference
 from gctd3.engines.reference import Reference
 from gctd3.engines.sanity import Bounds
-from gctd3.engines.settings import PACKAGES, CrossCheckSettings
+from gctd3.engines.settings import TITLES, CrossCheckSettings, engine_version
 from gctd3.engines.walk import Walk, walk
 from gctd3.errors import ConfigError, ContractError
 from gctd3.progress import StatusLine
@@ -107,7 +107,6 @@ class CrossCheck:
     def report(self) -> dict[str, Any]:
         """Return all numbers, for a JSON file."""
         settings, reasons = self.settings, self.reasons()
-        package = PACKAGES[settings.engine]
         counts = Counter(parting.boundary for parting in self.partings)
         return {
             "robot": self.task.robot.path.stem,
@@ -123,7 +122,7 @@ class CrossCheck:
             "partings": dict(counts) if reasons else {},
             "mujoco": self.numbers(self.reference),
             settings.engine: self.numbers(self.walks, self.broken),
-            "versions": {**versions(), package: version(package)},
+            "versions": {**versions(), **engine_version(settings.engine)},
         }
 
 
@@ -152,6 +151,7 @@ def cross_check(settings: CrossCheckSettings) -> CrossCheck:
         if policy.contract.robot.sha256 != physics_hash(task.robot.model):
             raise ContractError(f"{settings.policy} is of another robot than the run: {policy.contract.robot.name!r}.")
         reference = Reference(task.robot, task.control_dt)
+        line.show(f"opening {TITLES[settings.engine]}")
         other = open_engine(settings, task, policy, Path(folder))
         rng = np.random.default_rng(settings.seed)
         starts = [task.start(rng) for _ in range(settings.episodes)]
@@ -174,15 +174,15 @@ def cross_check(settings: CrossCheckSettings) -> CrossCheck:
 
 
 def open_engine(settings: CrossCheckSettings, task: SimulatedTask, policy: Policy, folder: Path) -> OtherEngine:
-    """Open the other engine with the task's robot; its URDF is written to a folder."""
-    chosen = {"dart": Dart, "bullet": Bullet}[settings.engine]
-    return chosen(task.robot, policy.contract, settings.timestep, settings.armature, folder)
+    """Open the other engine with the task's robot, whose URDF or SDF is written to a folder."""
+    chosen: dict[str, type[Dart | Bullet | Gazebo]] = {"dart": Dart, "bullet": Bullet, "gazebo": Gazebo}
+    return chosen[settings.engine](task.robot, policy.contract, settings.timestep, settings.armature, folder)
 
 
 def table(check: CrossCheck) -> str:
     """Format the comparison as a table, with the verdict below."""
     one, other = check.numbers(check.reference), check.numbers(check.walks, check.broken)
-    title = {"dart": "DART", "bullet": "Bullet"}[check.settings.engine]
+    title = TITLES[check.settings.engine]
 
     def spread(numbers: dict[str, Any]) -> str:
         return f"{numbers['speed_m_s']:.3f} ± {numbers['speed_std_m_s']:.3f}"

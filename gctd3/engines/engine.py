@@ -17,8 +17,9 @@ from gctd3.robots.description import describe_robot
 from gctd3.robots.links import Links
 from gctd3.robots.mjcf import bodies_below, body_name, colliding_geoms
 from gctd3.robots.robot import Robot
+from gctd3.robots.unsaid import Format
 
-_DYNAMICS = re.compile(r"<dynamics [^>]*/>")
+_DYNAMICS = re.compile(r"<dynamics [^>]*/>|<dynamics>.*?</dynamics>", re.DOTALL)
 FASTEST = 1e3  # rad/s or m/s of a joint: above it the simulation has exploded, and engines may end the process
 
 
@@ -70,7 +71,7 @@ class Engine(ABC):
 
 
 class OtherEngine(Engine):
-    """Simulate a robot in an engine that reads its URDF; a subclass speaks to the engine.
+    """Simulate a robot in an engine that reads its URDF, or SDF; a subclass speaks to the engine.
 
     Servos are explicit: ``tau = clip(kp (desired - angle) - kd velocity)`` from the contract at every step, less the
     joint's own damping. As the engine knows no armature, it is added to the inertia of the links below, about all axes.
@@ -80,16 +81,21 @@ class OtherEngine(Engine):
         contract: Contract of the policy.
         timestep: Time step of the physics (s).
         armature: Whether links have their joints' armature.
-        folder: Folder for the URDF.
+        folder: Folder for the robot's file.
+
+    Attributes:
+        form: Format of the robot's file.
     """
+
+    form: ClassVar[Format] = "urdf"
 
     def __init__(self, robot: Robot, contract: Contract, timestep: float, armature: bool, folder: Path) -> None:
         self.robot, self.timestep, model = robot, timestep, robot.model
         self.substeps = round(1.0 / (contract.control_rate_hz * timestep))
         share = 1.0 if armature else 0.0
         self.links = Links.of(robot, share)
-        self.file = folder / "robot.urdf"
-        description = describe_robot(robot, "urdf", "robot", share)
+        self.file = folder / f"robot.{self.form}"
+        description = describe_robot(robot, self.form, "robot", share)
         # Damping and friction are put on here: engines that read them do not agree on what they are.
         replace(description, text=_DYNAMICS.sub("", description.text)).write(self.file)
         joints = [joint for joint in self.links.joints if joint.id >= 0]
@@ -110,7 +116,7 @@ class OtherEngine(Engine):
 
     @abstractmethod
     def open(self) -> None:
-        """Load the URDF, the ground and their friction; joints have neither motors nor damping of the engine's."""
+        """Load the robot's file, the ground, their friction; joints have neither motors nor damping of the engine's."""
 
     @abstractmethod
     def put(self, angles: np.ndarray, rates: np.ndarray, base: Pose | None) -> None:

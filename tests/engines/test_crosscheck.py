@@ -1,22 +1,19 @@
-"""Policies in DART and Bullet beside MuJoCo: states, falls, contacts and walks; sanity and boundaries by hand."""
+"""Policies in other engines beside MuJoCo: states, falls, contacts and walks; sanity and boundaries by hand."""
 
 import json
 import math
-from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
-from robots import FREE_LEGS
+from other_engines import engine_of, free_robot, servos_of
 from running import command
 
-from gctd3.deploy.contract import read_contract
 from gctd3.deploy.policy import Policy
 from gctd3.engines.parting import find_parting
 from gctd3.engines.reference import Reference
 from gctd3.engines.sanity import Bounds
 from gctd3.engines.walk import Walk, walk
-from gctd3.robots.robot import Robot
 from gctd3.runs.evaluate import measure_run
 from gctd3.runs.load import load_run
 from gctd3.runs.settings import EvaluateSettings
@@ -24,16 +21,8 @@ from gctd3.runs.settings import EvaluateSettings
 DT, LEG = 0.02, 0.5
 
 
-def engine_of(name):
-    package = {"dart": "dartpy", "bullet": "pybullet"}[name]
-    pytest.importorskip(package, reason=f"needs {package}: pip install 'gctd3[engines]'")
-    if name == "dart":
-        from gctd3.engines.dart import Dart
-
-        return Dart
-    from gctd3.engines.bullet import Bullet
-
-    return Bullet
+# Of Gazebo's library a program is compiled.
+ENGINES = ["dart", "bullet", pytest.param("gazebo", marks=pytest.mark.nightly)]
 
 
 def made_up(steps=100, speed=1.0, **changed):
@@ -110,26 +99,7 @@ def test_walks_part_at_the_servos_the_first_contact_or_by_drift():
 # Engines.
 
 
-@pytest.fixture
-def contract(exported):
-    return read_contract(exported.with_suffix(".json"))
-
-
-def free_robot():
-    text = FREE_LEGS.replace("<freejoint/>", "<freejoint/><inertial mass='3' pos='0.02 0.01 0.03' ")
-    text = text.replace("0.03' ", "0.03' fullinertia='0.03 0.04 0.05 0.001 0.002 -0.003'/>")
-    return Robot.from_mjcf(mujoco.MjSpec.from_string(text))
-
-
-def servos_of(contract, robot):
-    """Return a contract with servos for another robot's joints, without gains."""
-    first = contract.servos[0]
-    weak = {"kp_nm_per_rad": 0.0, "kd_nm_s_per_rad": 0.0, "angle_reading": None}
-    servos = tuple(replace(first, actuator=name, joint=name, **weak) for name in robot.actuated)
-    return replace(contract, servos=servos)
-
-
-@pytest.mark.parametrize("name", ["dart", "bullet"])
+@pytest.mark.parametrize("name", ENGINES)
 def test_a_free_robot_is_where_it_was_put_and_falls_as_bodies_do(name, contract, tmp_path):
     engine, robot = engine_of(name), free_robot()
     other = engine(robot, servos_of(contract, robot), 0.001, False, tmp_path)
@@ -157,7 +127,7 @@ def test_a_free_robot_is_where_it_was_put_and_falls_as_bodies_do(name, contract,
     assert other.touching() == frozenset() and not other.exploded
 
 
-@pytest.mark.parametrize("name", ["dart", "bullet"])
+@pytest.mark.parametrize("name", ENGINES)
 def test_the_biped_that_is_dropped_lands_on_its_feet(name, contract, robot, tmp_path):
     other = engine_of(name)(robot, contract, 0.001, True, tmp_path)
     other.reset(robot.start_qpos, np.zeros(robot.model.nv))
@@ -170,7 +140,7 @@ def test_the_biped_that_is_dropped_lands_on_its_feet(name, contract, robot, tmp_
     np.testing.assert_allclose(other.state()[0][1], -0.0235, atol=2e-3)
 
 
-@pytest.mark.parametrize("name", ["dart", "bullet"])
+@pytest.mark.parametrize("name", ENGINES)
 def test_without_armature_the_servos_explode_and_the_engine_stands_still(name, contract, robot, tmp_path):
     other = engine_of(name)(robot, contract, 0.001, False, tmp_path)
     other.reset(robot.start_qpos, np.zeros(robot.model.nv))
@@ -211,7 +181,7 @@ def test_wrong_settings_are_refused_before_any_work(argument, message, capfd):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", ["dart", "bullet"])
+@pytest.mark.parametrize("name", ["dart", "bullet", "gazebo"])
 def test_the_packaged_policy_walks_in_another_engine(name, exported, tmp_path, capfd):
     engine_of(name)
     out = tmp_path / "check.json"
@@ -224,7 +194,7 @@ def test_the_packaged_policy_walks_in_another_engine(name, exported, tmp_path, c
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", ["dart", "bullet"])
+@pytest.mark.parametrize("name", ["dart", "bullet", "gazebo"])
 def test_without_armature_the_check_fails_at_the_servos(name, exported, capfd):
     engine_of(name)
     arguments = (f"policy={exported}", f"engine={name}", "episodes=2", "armature=false")
