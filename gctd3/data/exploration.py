@@ -12,8 +12,8 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.data.commanded_stepping import CommandedStepping
-from gctd3.data.evolution import Evolution
 from gctd3.data.jumping import Jumping
+from gctd3.data.motion_search import MotionSearch
 from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
 from gctd3.data.swinging import Swinging
@@ -213,7 +213,7 @@ class Explorer(TensorDictModuleBase):
         self.actor = actor
         self.settings = settings
         settings.check_robot(robot, control_dt)
-        self.rhythm: Rhythm | Evolution | None = None
+        self.rhythm: Rhythm | MotionSearch | None = None
         steps, share = settings.learning_starts // num_robots, settings.mutation_share
         trials = Trials(settings.trial(robot), control_dt, share, steps, limit, settings.least_speed)
         if settings.warmup == "rhythmic":
@@ -282,7 +282,7 @@ class Explorer(TensorDictModuleBase):
         if self.rhythm is not None:
             reached = [tensordict.get(key).reshape(-1) for key in ("is_init", *self._judged_by)]
             # A rhythm without trials asks for nothing that is shown.
-            shown = {"shown": self._shown(tensordict)} if isinstance(self.rhythm, Evolution) else {}
+            shown = {"shown": self._shown(tensordict)} if isinstance(self.rhythm, MotionSearch) else {}
             action: Tensor = self.rhythm(*reached, **shown)
             return action
         if (int(self.frames) // self.num_robots) % self.settings.hold == 0:

@@ -25,12 +25,12 @@ from gctd3.algorithms.base import Algorithm
 from gctd3.config.build import again
 from gctd3.config.fields import in_yaml
 from gctd3.data.build_collector import build_collector
-from gctd3.data.evolution import Evolution
 from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
 from gctd3.data.gait_policy import fittest_gait
 from gctd3.data.inline_collector import InlineCollector
 from gctd3.data.mirror_augmentation import MirrorAugmentation
+from gctd3.data.motion_search import MotionSearch
 from gctd3.data.replay import Replay
 from gctd3.envs.factory import EnvRecipe
 from gctd3.errors import NumericalError, RunError, TrainingError, WorkerError
@@ -284,7 +284,7 @@ class Trainer:
     def _evaluate_gait(self) -> None:
         """Evaluate the warm-up's fittest gait without a policy, to see later what learning has added."""
         rhythm, task = self.explorer.rhythm, self.setup.task
-        if not isinstance(rhythm, Evolution) or "film" not in task.abilities:
+        if not isinstance(rhythm, MotionSearch) or "film" not in task.abilities:
             return
         gait = fittest_gait(rhythm, cast(SimulatedTask, task))
         if gait is None:
