@@ -1,6 +1,7 @@
 """Settings: every YAML builds, and every key of every YAML has a reason, differs from its default and is read."""
 
 import ast
+import json
 from importlib.resources import files
 from pathlib import Path
 
@@ -127,6 +128,18 @@ def test_the_faster_walk_keeps_the_recipe_that_its_results_were_made_with():
     settings = build(composed("experiment=table5_best"))
     assert (settings.exploration.warmup, settings.exploration.mutation_share) == ("rhythmic", 0.8)
     assert settings.imitation.updates == 0 and settings.stop_when.restart_after == 140_000
+
+
+def test_a_robots_recipe_wins_over_what_its_task_changes():
+    """Compose the command that a committed result was trained with, and again without what its recipe says."""
+    results = Path(__file__).parents[2] / "benchmarks" / "results"
+    command = json.loads((results / "jump_go2.json").read_text(encoding="utf-8"))["command"]
+    given = command.removeprefix("python -m gctd3.train ").split()
+    said = ("exploration.learning_starts", "evaluation.every", "total_frames")
+    assert {item.partition("=")[0] for item in given}.issuperset(said)
+    assert composed(*given) == composed(*[item for item in given if not item.startswith(said)])
+    # A robot without one has what the task changes.
+    assert recipe_of("task=jump", "robot=go1")["learning_starts"] == 500_000
 
 
 def test_the_papers_hyperparameters_are_those_of_its_table():
