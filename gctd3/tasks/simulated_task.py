@@ -10,7 +10,7 @@ import functools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from array_api_compat import array_namespace
@@ -43,6 +43,8 @@ from gctd3.tasks.terrain import Terrain
 class Composition(TaskSettings):
     """Hold the settings of a task composed of terms, mappings by name; ``None`` leaves a term out.
 
+    A YAML of such a task names only the terms that it adds to the defaults, changes or leaves out.
+
     Attributes:
         control_dt: Control period (s).
         features: Features of the nodes, in their order within a node.
@@ -53,6 +55,8 @@ class Composition(TaskSettings):
         domain_randomisation: Differences between robots in a training; ``None`` for none.
         terrain: The ground; ``None`` for the plane of the robot's file.
     """
+
+    BY_NAME: ClassVar[tuple[str, ...]] = ("features", "terminations", "randomisations", "commands", "privileged")
 
     control_dt: float = 0.02
     features: Mapping[str, Any] = field(default_factory=dict)
