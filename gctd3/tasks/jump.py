@@ -32,8 +32,6 @@ from gctd3.tasks.simulated_task import Composition, SimulatedTask
 from gctd3.tasks.terminations import Fall, TimeLimit
 from gctd3.tasks.terms import Array, Command, Randomisation, RewardTerm, Termination
 
-EPISODE = 130  # control steps: a crouch, a jump, and a second of standing, with time to spare
-
 
 def jump_terms() -> dict[str, RewardTerm]:
     """Return the terms of the reward; a jump changes its actions fast, and takes the whole torque."""
@@ -67,8 +65,8 @@ def _terminations() -> dict[str, Termination]:
         # Heights are in leg lengths; a landing may be deep, and shanks may graze the ground.
         "fall": Fall(height=None, drop=0.6, shanks=False),
         # It and the time limit truncate an episode: its value is bootstrapped.
-        "finish": JumpedAndStood(EPISODE),
-        "time_limit": TimeLimit(EPISODE),
+        "finish": JumpedAndStood(),
+        "time_limit": TimeLimit(JumpedAndStood.steps),
     }
 
 
