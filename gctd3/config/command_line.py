@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import itertools
 import os
 import re
 import sys
@@ -15,30 +14,27 @@ from traceback import walk_tb
 from typing import NoReturn
 
 import hydra
-from hydra import compose, initialize_config_module
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from yaml import MarkedYAMLError, YAMLError
+from yaml import YAMLError
 
 from gctd3.compat import own_launcher
-from gctd3.config.fields import TARGET, find, is_settings, meanings
-from gctd3.config.help import CONF, choices, command_of, conf, fail, unread
+from gctd3.config.explanation import USER_ERRORS, explain
+from gctd3.config.fields import TARGET
+from gctd3.config.help import CONF, choices, command_of, fail, unread
+from gctd3.config.options import chooses, options, unchosen
 from gctd3.config.paths import literal_paths
 from gctd3.config.requirements import why_no_mujoco
-from gctd3.config.suggestions import nearest
 from gctd3.config.terminal import prepare_output
-from gctd3.errors import ConfigError, GCTD3Error, PackageError, RobotError, RunError, suggest
+from gctd3.errors import ConfigError, PackageError, RobotError, RunError
 from gctd3.files import remove_empty, title
 from gctd3.signals import Interruption
 
 _NULL = "null"
-_JOBLIB = ("hydra/launcher", "joblib")  # an option only where the plugin is installed
 _WRONG_SETTINGS = (ConfigError, RobotError, HydraException, OmegaConfBaseException, YAMLError)
-_USER_ERRORS = (GCTD3Error, HydraException, OmegaConfBaseException, OSError, MemoryError, YAMLError)
 
 
 def command(
@@ -99,7 +95,7 @@ def _run(
         hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=config)(_guarded(task, config))()
     except BrokenPipeError:
         unread()
-    except _USER_ERRORS as error:
+    except USER_ERRORS as error:
         fail(explain(error, config, may_change))
     except (AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         # Hydra raises these for a value that is not an option of its group; the task's own errors keep their traceback.
@@ -171,7 +167,7 @@ def _guarded(task: Callable[[DictConfig], object], config: str) -> Callable[[Dic
             return task(settings)
         except BrokenPipeError:
             unread()
-        except _USER_ERRORS as error:
+        except USER_ERRORS as error:
             _refuse(error, config)
         except ImportError as error:
             _refuse(PackageError(_broken(error)), config)
@@ -201,11 +197,7 @@ def _check_overrides(settings: DictConfig, overrides: Iterable[str], config: str
     for group in map(str, settings):
         value = OmegaConf.select(settings, group, throw_on_missing=False)
         if isinstance(value, DictConfig) and TARGET not in value and group in own and chooses(f"{group}="):
-            raise ConfigError(_unchosen(group))
-
-
-def _unchosen(group: str) -> str:
-    return f"{group} has no keys as it is: begin with {group}=..., which is one of {', '.join(options(group))}."
+            raise ConfigError(unchosen(group))
 
 
 def _refuse(error: Exception, config: str) -> NoReturn:
@@ -222,120 +214,3 @@ def _refuse(error: Exception, config: str) -> NoReturn:
     if sweeping and not own_launcher(hydra_config.launcher):
         raise RunError(message) from None  # reported by the process that started the sweep
     fail(message)
-
-
-def explain(error: Exception, config: str, may_change: Sequence[str] = ()) -> str:
-    """Describe an error in a line or two; for an unknown key, name the nearest known one; see :func:`command`."""
-    if isinstance(error, GCTD3Error):
-        return f"{error}{_replacing(str(error))}"
-    if isinstance(error, MarkedYAMLError):
-        mark = error.problem_mark
-        return f"{mark.name}, line {mark.line + 1}: {error.problem}." if mark else str(error)
-    if isinstance(error, MemoryError):
-        return f"Not enough memory ({error}): lower replay.buffer_size, env.num_envs or the number of episodes."
-    # Hydra's counts as an OSError.
-    if isinstance(error, MissingConfigException) and error.options:
-        group, _, option = str(error.missing_cfg_file).rpartition("/")
-        close, accepted = suggest(option, error.options), ", ".join(error.options)
-        needed = " It needs its package: pip install 'gctd3[sweep]'." if (group, option) == _JOBLIB else ""
-        return f"Could not find '{group}/{option}'.{needed or close} Options of {group}: {accepted}."
-    if isinstance(error, OSError):
-        return f"{error.strerror}: {error.filename}" if error.filename else str(error)
-    if isinstance(error, OverrideParseException):
-        return f"Cannot read {error.override!r}: {str(error).splitlines()[0]}. Expected key=value."
-    causes = [str(error), *([str(error.__cause__)] if error.__cause__ else [])]
-    text = "\n".join(line for line in "\n".join(causes).splitlines() if line.strip())
-    unknown = re.search(r"full_key: (\S+)", text) if "is not in struct" in text else None
-    if unknown is None:
-        return text
-    key = unknown.group(1)
-    parent = key.rpartition(".")[0]
-    if may_change:
-        return (
-            f"Unknown key {key!r}: a run that is continued keeps its robot, task and reward."
-            f"{nearest(key, dict.fromkeys(may_change, ''))} May change: {', '.join(may_change)}."
-        )
-    keys = _known_keys(config, sys.argv[1:])
-    group = key.partition(".")[0]
-    if not any(known.startswith(f"{group}.") for known in keys) and group in keys and chooses(f"{group}="):
-        return f"Unknown key {key!r}: {_unchosen(group)}"
-    siblings = [k for k in keys if k.rpartition(".")[0] == parent]
-    none = f" {parent} has no keys; +{key}=... adds one." if parent in keys else ""
-    accepted = f" Accepted: {', '.join(siblings)}." if siblings else none
-    if any(argument.startswith(f"{key}._target_=") for argument in sys.argv[1:]):
-        return f"Unknown key {key!r}. To add it: +{key}._target_=...{accepted}"
-    return f"Unknown key {key!r}.{nearest(key, keys)}{accepted}"
-
-
-def _replacing(message: str) -> str:
-    """Return how to replace settings by those of another class, if that is what ``message`` comes from."""
-    for argument in sys.argv[1:]:
-        place = argument.partition(f".{TARGET}=")[0]
-        if f".{TARGET}=" in argument and not place.startswith("+") and f"Unknown key '{place}." in message:
-            _, _, target = argument.partition("=")
-            above = place.rpartition(".")[0]
-            return (
-                f" It was a key of the class before {target}: to replace {place}, leave it out and add yours by a new "
-                f"name, {place}=null +{above}.NAME.{TARGET}={target}"
-            )
-    return ""
-
-
-def chooses(argument: str) -> str | None:
-    """Return the group of which an argument chooses an option; ``None`` for other arguments, which add no keys."""
-    group = re.split("[=@]", argument.lstrip("+~"), maxsplit=1)[0]
-    return group if group.isidentifier() and conf().joinpath(group).is_dir() else None
-
-
-def options(group: str) -> list[str]:
-    """List the options of a group that ship with gctd3."""
-    return sorted(file.stem for file in conf().joinpath(group).glob("*.yaml"))
-
-
-def ships(argument: str) -> bool:
-    """Tell whether the option that an argument chooses of a group ships with gctd3."""
-    group, option = chooses(argument), argument.partition("=")[2]
-    return group is not None and conf().joinpath(group, f"{option}.yaml").is_file()
-
-
-def _elsewhere(arguments: list[str]) -> list[str]:
-    """Return the override with Hydra's further search paths, if a command line gives them."""
-    overrides = [argument for argument in arguments if argument.startswith("hydra.searchpath=")]
-    for argument, following in itertools.zip_longest(arguments, arguments[1:], fillvalue=""):
-        option, _, folder = argument.partition("=")
-        if option in ("--config-dir", "-cd"):
-            path = str(Path(folder or following).absolute()).replace("'", "\\'")
-            overrides.append(f"hydra.searchpath=['file://{path}']")
-    return overrides[-1:]
-
-
-def _known_keys(config: str, arguments: list[str]) -> dict[str, str]:
-    """Return the meaning of every key, given those of the arguments that choose an option and are valid."""
-    GlobalHydra.instance().clear()
-    sound = _elsewhere(arguments)
-    with initialize_config_module(CONF, version_base="1.3"):
-        composed = compose(config, sound)
-        for argument in filter(chooses, arguments):  # to compose takes long
-            with contextlib.suppress(*_USER_ERRORS):
-                composed = compose(config, [*sound, argument])
-                sound.append(argument)
-
-    def walk(node: DictConfig, prefix: str) -> dict[str, str]:
-        known, described = {}, _meanings(node)
-        for key in map(str, node):
-            value = OmegaConf.select(node, key, throw_on_missing=False)
-            if key != TARGET:
-                known[f"{prefix}{key}"] = described.get(key, "")
-            if isinstance(value, DictConfig):
-                known |= walk(value, f"{prefix}{key}.")
-        return known
-
-    return walk(composed, "")
-
-
-def _meanings(node: DictConfig) -> dict[str, str]:
-    """Return the meanings of the keys of settings; of a mapping that is none, or of a class not found, nothing."""
-    with contextlib.suppress(ImportError):
-        cls = find(str(node.get(TARGET, "")))
-        return meanings(cls) if is_settings(cls) else {}
-    return {}

@@ -5,6 +5,10 @@ override of the command line: by then groups, robots and experiments have chosen
 gives is kept, and Hydra, which closes the configuration next, accepts ``algo.tau=0.01``, refuses ``algo.tua=0.01``, and
 shows, sweeps and saves every key.
 
+Fields that settings list in ``BY_NAME`` hold terms by name, and are completed name by name: a YAML names only the terms
+that it adds, changes or, with ``null``, leaves out, and every other one keeps its default and its place. Any other
+mapping is the YAML's as it stands.
+
 Alternatives: entries of Hydra's ConfigStore, generated from the dataclasses, as the first default of each YAML. That
 is Hydra's own way, but names each class twice, gives nothing to a class from outside that is only named by the
 ``_target_`` of somebody's YAML, and what is merged first cannot know which class is chosen last: nested settings of one
@@ -74,6 +78,9 @@ def _add_defaults(config: DictConfig, target: str, path: str) -> None:
         defaults = defaults_of(settings)
         if path == "" and _HYDRAS in config:
             _check_root(config, target, set(defaults))
+        for key in getattr(settings, "BY_NAME", ()):
+            if _says(config, key) and isinstance(_inner(config, key), DictConfig):
+                _add_by_name(config, key, defaults[key])
         _add(config, defaults)
 
 
@@ -101,6 +108,24 @@ def _add(config: DictConfig, defaults: dict[str, Any]) -> None:
             nested = isinstance(default, dict) and TARGET in default
             if nested and isinstance(inner, DictConfig) and not _says(inner, TARGET):
                 _add(inner, default)
+
+
+def _add_by_name(config: DictConfig, key: str, defaults: dict[str, Any]) -> None:
+    """Add the default terms that the mapping at ``key`` does not name; they stand first, in their order."""
+    given: Any = OmegaConf.to_container(config[key], resolve=False)
+    with flag_override(config, ["struct", "readonly"], False):
+        config[key] = _merged(defaults, given)
+
+
+def _merged(defaults: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
+    known = {key: _term(default, given[key]) if key in given else default for key, default in defaults.items()}
+    return known | {key: value for key, value in given.items() if key not in defaults}
+
+
+def _term(default: Any, given: Any) -> Any:  # noqa: ANN401 - anything
+    """Complete what a YAML says of a term; a class that is not the default's keeps nothing of it."""
+    settings = isinstance(default, dict) and TARGET in default and isinstance(given, dict)
+    return _merged(default, given) if settings and given.get(TARGET, default[TARGET]) == default[TARGET] else given
 
 
 def _says(config: DictConfig, key: str) -> bool:

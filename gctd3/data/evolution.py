@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
+from gctd3.data.motion_search import MotionSearch
 from gctd3.data.trials import NOTHING, Shown, Trials
 
 
-class Evolution(torch.nn.Module, ABC):
+class Evolution(MotionSearch):
     """Generate gaits that evolve.
 
     Each robot tries a gait for a while, remembers its best one, and most new gaits are mutations of what a few robots
@@ -35,12 +36,8 @@ class Evolution(torch.nn.Module, ABC):
     fitness: Tensor
     cycles: Tensor
     start: Tensor
-    last: Tensor
     lived: Tensor
-    age: Tensor
     again: Tensor
-    taken: Tensor
-    final: Tensor
     finalist: Tensor
     walked: Tensor
     place: Tensor
@@ -54,9 +51,8 @@ class Evolution(torch.nn.Module, ABC):
     FALL = 1.0  # by which a fall lowers the fitness: about what a brisk walk is worth (reward of a control step)
     SLOW = 2.0  # by which each m/s below the least speed lowers the fitness: twice what reward=walk pays for it
     AGAIN = 0.05  # share of trials in which a robot tries its remembered gait again; luck does not stay
-    LAST_ROUND = 0.3  # share of the warm-up, at its end, in which all robots try the fittest few gaits
-    FINALISTS = 8  # of these gaits; the fittest one by the mean over its robots wins
-    SHOWN = 0.0  # share of the warm-up, at its end, in which all robots try the winner, for a policy to learn it from
+    LAST_ROUND = 0.3
+    SHOWN = 0.0
     STARTS = 3  # episodes of each robot in that time: to start from standing is the hardest part
     NOISE = 0.1  # standard deviation of what is added to the actions
 
@@ -69,14 +65,11 @@ class Evolution(torch.nn.Module, ABC):
         fixed: Mapping[str, Tensor] | None = None,
         genes: Mapping[str, tuple[float, float, bool]] | None = None,
     ) -> None:
-        super().__init__()
+        super().__init__(num_robots, trials, unit)
         self.genes = {**(genes or {}), **self.GENES}
-        self.groups, self._trials, self._dt, self._unit = groups, trials, trials.control_dt, unit
-        self._limit, steps = math.inf if trials.limit is None else trials.limit, trials.steps
+        self.groups, self._trials = groups, trials
         self._steps = max(round(trials.duration / trials.control_dt), 1)
-        self._last_round = math.inf if steps is None else (1.0 - self.LAST_ROUND) * steps
-        self._shown = math.inf if steps is None or not self.SHOWN else round((1.0 - self.SHOWN) * steps)
-        self._showing = max(1, round(self.SHOWN * (steps or 0) / self.STARTS))
+        self._showing = max(1, round(self.SHOWN * (trials.steps or 0) / self.STARTS))
         self._fixed = dict(fixed or {})
         for name, values in self._draw(num_robots).items():
             self.register_buffer(name, values)
@@ -84,17 +77,12 @@ class Evolution(torch.nn.Module, ABC):
         self.register_buffer("fitness", torch.full((num_robots,), -math.inf))
         self.register_buffer("cycles", torch.zeros(num_robots))
         self.register_buffer("start", torch.zeros(num_robots))
-        self.register_buffer("last", torch.zeros(num_robots))
         self.register_buffer("lived", torch.zeros(num_robots, dtype=torch.int64))
-        self.register_buffer("taken", torch.zeros((), dtype=torch.int64))
         self.register_buffer("again", torch.zeros(num_robots, dtype=torch.bool))
-        self.register_buffer("final", torch.zeros((), dtype=torch.bool))
         self.register_buffer("finalist", torch.full((num_robots,), -1, dtype=torch.int64))
         if trials.least_speed is not None:
             self.register_buffer("walked", torch.zeros(num_robots))
             self.register_buffer("place", torch.zeros(num_robots))
-        # No trial has begun.
-        self.register_buffer("age", torch.full((num_robots,), -1, dtype=torch.int64))
 
     @abstractmethod
     def act(self, genes: Mapping[str, Tensor], cycles: Tensor, shown: Shown = NOTHING) -> Tensor:
@@ -193,14 +181,7 @@ class Evolution(torch.nn.Module, ABC):
         position: Tensor | None = None,
         shown: Shown = NOTHING,
     ) -> Tensor:
-        """Return the actions ``[robots, A]`` of the next step.
-
-        Args:
-            is_init: Robots whose episode begins, bool ``[robots]``.
-            returned: Sum of the episode's rewards so far, ``[robots]``.
-            position: Distance walked in the episode, ``[robots]`` (m); needed only with a least speed.
-            shown: What observations of the robots show.
-        """
+        """Return the actions ``[robots, A]`` of the next step; see :meth:`.MotionSearch.forward`."""
         if self._trials.least_speed is not None and position is not None:
             # Of an episode that has begun anew the last step is not known.
             self.walked += torch.where(is_init, 0.0, position - self.place)
@@ -280,15 +261,7 @@ class Evolution(torch.nn.Module, ABC):
         return bool(self.fitness.isfinite().any())
 
     def fittest_action(self, phase: Tensor, shown: Shown = NOTHING) -> Tensor:
-        """Return the actions of the fittest gait after states of the given phases; all gaits keep to one frequency.
-
-        Args:
-            phase: Phase of the gait, ``[*]`` (periods).
-            shown: What observations of these states show, ``[*, ...]``.
-
-        Returns:
-            Actions, ``[*, A]``.
-        """
+        """Return the actions ``[*, A]`` of the fittest gait after states of phases ``[*]`` (periods of its clock)."""
         genes = self._fittest(len(phase))
         cycles = phase + self._dt * self._unit * genes["frequency"]
         return self.act(genes, cycles, shown).clamp(-1.0, 1.0)

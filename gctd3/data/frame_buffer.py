@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
-import mmap
 from collections.abc import Iterable
 from typing import Any
 
-import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from gctd3.data.lazy_zeros import lazy_zeros
 from gctd3.errors import ConfigError
 from gctd3.nn.kernels import stack_frames
 
@@ -72,7 +70,7 @@ class FrameBuffer:
             )
         try:
             for key, values in step.items():
-                self._ring[key] = _zeros((self.rows, *values.shape), values.dtype, self.device)
+                self._ring[key] = lazy_zeros((self.rows, *values.shape), values.dtype, self.device)
         except (RuntimeError, MemoryError, OSError, OverflowError) as error:
             raise MemoryError(f"replay.buffer_size={self.capacity}") from error
         self._ring["last"] = torch.full((self.rows, self.robots), -1, dtype=torch.int32, device=self.device)
@@ -278,7 +276,7 @@ class FrameBuffer:
                 raise ValueError(f"Row {covered} of the replay is missing; the next part has {start} to {stop}.")
             if not self._ring:
                 for key, values in part.items():
-                    self._ring[key] = _zeros((self.rows, *values.shape[1:]), values.dtype, self.device)
+                    self._ring[key] = lazy_zeros((self.rows, *values.shape[1:]), values.dtype, self.device)
                 self._ring["last"].fill_(-1)
             index = torch.arange(covered, stop) % self.rows
             for key, values in part.items():
@@ -287,16 +285,3 @@ class FrameBuffer:
         if covered != self.total:
             raise ValueError(f"Rows {covered} to {self.total} of the replay are missing.")
         self._flat = {key: values.flatten(0, 1) for key, values in self._ring.items()}
-
-
-def _zeros(shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Return zeros that take up a CPU's memory only once they are written to.
-
-    PyTorch writes its zeros at once, and so does NumPy where the allocator hands out memory that was used before. Pages
-    of their own are empty whatever the process did until then.
-    """
-    if device.type != "cpu":
-        return torch.zeros(shape, dtype=dtype, device=device)
-    kind = torch.zeros((), dtype=dtype).numpy().dtype
-    pages = mmap.mmap(-1, max(1, math.prod(shape) * kind.itemsize), access=mmap.ACCESS_COPY)
-    return torch.from_numpy(np.frombuffer(pages, kind, math.prod(shape)).reshape(shape))

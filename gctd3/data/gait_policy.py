@@ -7,6 +7,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from gctd3.data.evolution import Evolution
+from gctd3.data.motion_search import MotionSearch
 from gctd3.data.stepping import Stepping
 from gctd3.data.trials import Shown
 from gctd3.tasks.simulated_task import SimulatedTask
@@ -20,7 +21,7 @@ class ByClock(TensorDictModuleBase):
         task: Task whose observations show a clock.
     """
 
-    def __init__(self, gait: Evolution, task: SimulatedTask) -> None:
+    def __init__(self, gait: MotionSearch, task: SimulatedTask) -> None:
         super().__init__()
         self.in_keys, self.out_keys = ["nodes"], ["action"]
         # Not registered: the gaits belong to the explorer.
@@ -57,17 +58,17 @@ class OpenLoop(TensorDictModuleBase):
         return tensordict.set("action", action.expand(*tensordict.batch_size, -1).clone())
 
 
-def fittest_gait(gait: Evolution, task: SimulatedTask) -> OpenLoop | ByClock | None:
+def fittest_gait(gait: MotionSearch, task: SimulatedTask) -> OpenLoop | ByClock | None:
     """Return the fittest gait as a policy for evaluations, ``None`` if none was tried, or none can be replayed.
 
     Args:
         gait: Gaits of the warm-up.
         task: Their task. Gaits that follow a command or have reflexes are replayed by its clock.
     """
-    if task.shown_command is None and not _balances(gait):
+    if isinstance(gait, Evolution) and task.shown_command is None and not _balances(gait):
         return OpenLoop(gait.fittest_actions(task.time_limit)) if gait.tried else None
     return ByClock(gait, task) if gait.tried and task.gait is not None else None
 
 
-def _balances(gait: Evolution) -> bool:
+def _balances(gait: MotionSearch) -> bool:
     return isinstance(gait, Stepping) and gait.balances

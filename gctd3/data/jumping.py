@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gctd3.data.evolution import Evolution
 from gctd3.data.joint_pairs import JointPairs
 from gctd3.data.leg_poses import drawn_up, places_in_legs
+from gctd3.data.motion_search import MotionSearch
 from gctd3.data.separable_cma import SeparableCMA
 from gctd3.data.trials import NOTHING, Shown, Trials
 from gctd3.robots.robot import Robot
@@ -22,7 +21,7 @@ TUCKED = (3, 4)  # of them, in which legs are drawn up at first
 TIMES = ((0.2, 0.5), (0.05, 0.12))  # shortest and longest time to the first pose, and between poses (s)
 
 
-class Jumping(Evolution):
+class Jumping(MotionSearch):
     """Generate open-loop jumps that evolve: a crouch, and a few poses after it at equal times, joined by lines.
 
     Left and right legs do the same. The only knowledge of jumping in it is that a robot begins and ends as it stands.
@@ -77,7 +76,7 @@ class Jumping(Evolution):
     ) -> None:
         joints = JointPairs.of(robot)
         leaders, pair_of = joints.leaders, joints.pair_of
-        super().__init__(num_robots, len(leaders), replace(trials, least_speed=None), frequency)
+        super().__init__(num_robots, trials, frequency)
         centre, scale = robot.action_map
         names = [joint.name for joint in robot.joints]
         standing = robot.home_angles[[names.index(name) for name in robot.actuated]]
@@ -137,7 +136,7 @@ class Jumping(Evolution):
         position: Tensor | None = None,
         shown: Shown = NOTHING,
     ) -> Tensor:
-        """Return the actions ``[robots, A]`` of the next step; see :meth:`.Evolution.forward`."""
+        """Return the actions ``[robots, A]`` of the next step; see :meth:`.MotionSearch.forward`."""
         if (command := shown.command) is None:
             raise ValueError("Jumps need the commanded height.")
         ended = is_init | (self.age < 0)
@@ -245,15 +244,6 @@ class Jumping(Evolution):
         time = phase.reshape(-1) / self._unit + self._dt
         return self.poses(self.winners[level], time).reshape(*shape, -1)
 
-    def act(self, *_: object, **__: object) -> Tensor:
-        """Refuse: jumps have no genes of gaits."""
-        raise NotImplementedError("Jumps are poses, see Jumping.poses.")
-
-    @property
-    def anew(self) -> bool:
-        """Return ``False``: each jump is tried for an episode, so that no robot has to begin anew."""
-        return False
-
     @property
     def shows(self) -> bool:
         """Return whether robots try the winners, and go on to do so until the warm-up ends."""
@@ -262,4 +252,4 @@ class Jumping(Evolution):
     @property
     def followers(self) -> Tensor:
         """Return which robots try the winners then, bool ``[robots]``: all of them."""
-        return torch.ones_like(self.again)
+        return torch.ones_like(self.level, dtype=torch.bool)

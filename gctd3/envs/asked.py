@@ -16,8 +16,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from gctd3.config.build import build
-from gctd3.config.command_line import explain, options
+from gctd3.config.explanation import explain
 from gctd3.config.help import CONF
+from gctd3.config.options import options
 from gctd3.errors import ConfigError, check_kind
 from gctd3.robots.command_line import FREE
 from gctd3.robots.floating_base import Axis

@@ -300,10 +300,12 @@ class FootContact(NodeFeature):
 
 
 def paper_features() -> dict[str, NodeFeature]:
-    """Return the features of the paper (section 2.3), and those of bases without a boom."""
+    """Return the features of the paper (section 2.3), and those of bases without a boom, in their order in a node."""
     return {
+        # From standing.
         "height": Height(),
         "velocity": Velocity(),
+        # At a node for each other coordinate of a base that no boom holds.
         "base": BaseCoordinate(),
         "base_rate": BaseRate(),
         "angle": JointAngle(),

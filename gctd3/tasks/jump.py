@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from array_api_compat import array_namespace
 
@@ -32,11 +32,9 @@ from gctd3.tasks.simulated_task import Composition, SimulatedTask
 from gctd3.tasks.terminations import Fall, TimeLimit
 from gctd3.tasks.terms import Array, Command, Randomisation, RewardTerm, Termination
 
-EPISODE = 130  # control steps
-
 
 def jump_terms() -> dict[str, RewardTerm]:
-    """Return the terms of the reward."""
+    """Return the terms of the reward; a jump changes its actions fast, and takes the whole torque."""
     return {
         "jump": JumpHeight(),
         "stand": StandAfterJump(),
@@ -48,11 +46,27 @@ def jump_terms() -> dict[str, RewardTerm]:
     }
 
 
+@dataclass(frozen=True)
+class JumpReward(Reward):
+    """Hold the terms of the reward of a jump; a YAML names only those that it adds, changes or leaves out.
+
+    Attributes:
+        terms: Terms by name, in the order of their sum; ``None`` leaves one out. Little is paid for anything but the
+            jump and the standing after it.
+    """
+
+    BY_NAME: ClassVar[tuple[str, ...]] = ("terms",)
+
+    terms: Mapping[str, Any] = field(default_factory=jump_terms)
+
+
 def _terminations() -> dict[str, Termination]:
     return {
+        # Heights are in leg lengths; a landing may be deep, and shanks may graze the ground.
         "fall": Fall(height=None, drop=0.6, shanks=False),
-        "finish": JumpedAndStood(EPISODE),
-        "time_limit": TimeLimit(EPISODE),
+        # It and the time limit truncate an episode: its value is bootstrapped.
+        "finish": JumpedAndStood(),
+        "time_limit": TimeLimit(JumpedAndStood.steps),
     }
 
 
@@ -92,9 +106,9 @@ class JumpSettings(Composition):
             )
 
     def build(self, robot: RobotSettings, reward: Reward | None = None) -> JumpTask:
-        """Build the task, its robot and its graph; under :func:`jump_terms` if ``reward`` is ``None``."""
+        """Build the task, its robot and its graph; under :class:`JumpReward` if ``reward`` is ``None``."""
         loaded = robot.load()
-        return JumpTask(loaded, Reward(jump_terms()) if reward is None else reward, self, robot.graph_of(loaded))
+        return JumpTask(loaded, JumpReward() if reward is None else reward, self, robot.graph_of(loaded))
 
 
 class JumpTask(SimulatedTask):

@@ -127,13 +127,14 @@ class JumpApex(NodeFeature):
 
 
 def jump_features() -> dict[str, NodeFeature]:
-    """Return the features that the policy observes."""
+    """Return the features that the policy observes, for which robots have sensors, in their order in a node."""
     return {
         "gravity_up": GravityUp(),
         "gravity": GravityDirection(),
         "gyroscope": Gyroscope(),
         "command": CommandHeight(),
         "clock": JumpClock(),
+        # Joints that stand bent in different ways share the network's weights.
         "angle": JointAngle(from_home=True),
         "angular_velocity": JointVelocity(),
         "last_action": LastAction(),
@@ -142,5 +143,5 @@ def jump_features() -> dict[str, NodeFeature]:
 
 
 def jump_privileged() -> dict[str, NodeFeature]:
-    """Return the features that only critics observe."""
+    """Return the features that only critics observe: what robots have no sensor for."""
     return {"height": Height(), "velocity": Velocity(), "apex": JumpApex()}

@@ -110,6 +110,7 @@ class JumpedAndStood(TimeLimit):
 
     succeeds: ClassVar[bool] = True
 
+    # A crouch, a jump, and a second of standing, with time to spare.
     steps: int = 130
     seconds: float = 1.0
 

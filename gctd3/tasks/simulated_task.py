@@ -6,42 +6,42 @@ for one robot, ``[N]`` for a batch) and returns new ones; nothing here steps a s
 
 from __future__ import annotations
 
-import functools
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from array_api_compat import array_namespace
 
-from gctd3.errors import ConfigError, RobotError, check_kind, suggest
+from gctd3.errors import ConfigError, check_kind
 from gctd3.robots.graph import KinematicGraph
-from gctd3.robots.mirror_check import check_mirror
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings
-from gctd3.tasks.domain_randomisation import NOISE, Domain, DomainRandomisation
+from gctd3.tasks.domain_randomisation import Domain, DomainRandomisation
 from gctd3.tasks.feature_table import FeatureTable
-from gctd3.tasks.features import NodeFeature, Sensed
+from gctd3.tasks.features import NodeFeature
+from gctd3.tasks.fitting import check_feature, fitting, fitting_rewards, named
 from gctd3.tasks.gait_clock import GaitClock
 from gctd3.tasks.ground import ORIGIN, Ground
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.memory import EpisodeMemory, Generator, Memory
+from gctd3.tasks.observations import TaskObservations
 from gctd3.tasks.outcome import Outcome
-from gctd3.tasks.posture import Posture
-from gctd3.tasks.reflection import Reflection
 from gctd3.tasks.reward import Reward
-from gctd3.tasks.sensor_noise import OWN_NOISE, SensorNoise
+from gctd3.tasks.sensor_noise import SensorNoise
+from gctd3.tasks.state_reader import StateReader
 from gctd3.tasks.task import Ability, TaskSettings
-from gctd3.tasks.term_checks import called, check_mapping, check_terms, reading, trying
-from gctd3.tasks.terminations import MOST_STEPS, STEPS, TimeLimit
-from gctd3.tasks.terms import Array, Command, Randomisation, RobotFacts, Step, Termination
+from gctd3.tasks.term_checks import called, check_mapping, check_terms, trying
+from gctd3.tasks.terminations import MOST_STEPS, TimeLimit
+from gctd3.tasks.terms import Command, Randomisation, RobotFacts, Step, Termination
 from gctd3.tasks.terrain import Terrain
+from gctd3.tasks.trial_step import try_terms
 
 
 @dataclass(frozen=True)
 class Composition(TaskSettings):
     """Hold the settings of a task composed of terms, mappings by name; ``None`` leaves a term out.
+
+    A YAML of such a task names only the terms that it adds to the defaults, changes or leaves out.
 
     Attributes:
         control_dt: Control period (s).
@@ -53,6 +53,8 @@ class Composition(TaskSettings):
         domain_randomisation: Differences between robots in a training; ``None`` for none.
         terrain: The ground; ``None`` for the plane of the robot's file.
     """
+
+    BY_NAME: ClassVar[tuple[str, ...]] = ("features", "terminations", "randomisations", "commands", "privileged")
 
     control_dt: float = 0.02
     features: Mapping[str, Any] = field(default_factory=dict)
@@ -83,7 +85,7 @@ class Composition(TaskSettings):
         return SimulatedTask(loaded, Reward() if reward is None else reward, self, robot.graph_of(loaded))
 
 
-class SimulatedTask:
+class SimulatedTask(TaskObservations):
     """Define the observations, the reward and the terminations of a simulated robot on any base.
 
     Args:
@@ -106,11 +108,7 @@ class SimulatedTask:
     abilities: frozenset[Ability] = frozenset(("film", "export", "robustness", "mirror"))
 
     def __init__(
-        self,
-        robot: Robot,
-        reward: Reward,
-        settings: Composition,
-        graph: KinematicGraph | None = None,
+        self, robot: Robot, reward: Reward, settings: Composition, graph: KinematicGraph | None = None
     ) -> None:
         check_kind("reward", reward, Reward)
         check_kind("settings", settings, Composition)
@@ -124,8 +122,6 @@ class SimulatedTask:
         with trying():
             self._compose()
 
-    # Composition.
-
     def _compose(self) -> None:
         """Take the terms that fit the robot, and run each of them once."""
         robot, settings = self.robot, self.settings
@@ -136,20 +132,17 @@ class SimulatedTask:
         self.table = FeatureTable(features, robot, self.graph)
         self.features = self.table.width
         privileged = {n: f for n, f in settings.privileged.items() if f is not None}
-        key = "task.privileged"
-        self.privileged = FeatureTable(privileged, robot, self.graph, key) if privileged else None
-        for name, one in {**_named("task.features", features), **_named(key, privileged)}.items():
-            self._check_feature(name, one)
-        self.terminations = self._fitting("task.terminations", settings.terminations)
-        commands = self._fitting("task.commands", settings.commands)
+        self.privileged = FeatureTable(privileged, robot, self.graph, "task.privileged") if privileged else None
+        sensed = {**named("task.features", features), **named("task.privileged", privileged)}
+        for name, one in sensed.items():
+            check_feature(name, one, self.facts)
+        self.terminations = fitting("task.terminations", settings.terminations, self.facts)
+        commands = fitting("task.commands", settings.commands, self.facts)
         self.commands = {n: called(f"task.commands.{n}", one.fitted, self.facts) for n, one in commands.items()}
-        self.randomisations = self._fitting("task.randomisations", settings.randomisations)
-        self.terms = self._reward_terms()
-        ends = {f"task.terminations.{name}": term for name, term in self.terminations.items()}
-        terms = {f"reward.terms.{name}": term for name, term in self.terms.items()}
-        sensed = {**_named("task.features", features), **_named(key, privileged)}
-        asked = settings.domain_randomisation
-        servos = self.facts.servos.joints
+        self.randomisations = fitting("task.randomisations", settings.randomisations, self.facts)
+        self.terms = fitting_rewards(self.reward.terms, self.facts, settings.terminations, self.terminations)
+        ends, terms = named("task.terminations", self.terminations), named("reward.terms", self.terms)
+        asked, servos = settings.domain_randomisation, self.facts.servos.joints
         self.domain = None if asked is None else Domain(asked, robot, self.table, servos, self.control_dt)
         if self.domain is not None:
             # Each robot of a batch has a model of its own there.
@@ -160,91 +153,10 @@ class SimulatedTask:
         )
         clocks = [feature for feature in features.values() if isinstance(feature, GaitClock)]
         self.gait = clocks[0].pattern(robot) if clocks else None
-        self._base = robot.base
-        standing = self._base.read(robot.standing_qpos, np.zeros(robot.model.nv))
-        self._standing = {name: value for name, (value, _) in standing.items()}
-        self._feet = robot.contact_sensors(robot.feet)
-        self._foot_velocities = robot.foot_velocity_sensors
-        self._shanks = robot.contact_sensors(robot.shanks)
-        self._others = robot.contact_sensors(robot.other_contact_bodies)
-        self._qpos = np.array([joint.qpos for joint in robot.joints])
-        self._qvel = np.array([joint.qvel for joint in robot.joints])
+        self._read = StateReader(robot, self.facts)
         limits = [term.steps for term in self.terminations.values() if isinstance(term, TimeLimit)]
         self.time_limit, self.endless = min(limits, default=MOST_STEPS), not limits
-        self.num_counters = 0
-        self._try()
-
-    def _check_feature(self, where: str, feature: NodeFeature) -> None:
-        try:
-            called(where, feature.check, self.facts)
-        except ConfigError as error:
-            raise ConfigError(f"{where}.{error}") from error
-
-    def _fitting(self, where: str, terms: Mapping[str, Any]) -> dict[str, Any]:
-        given = {name: term for name, term in terms.items() if term is not None}
-        return {n: term for n, term in given.items() if called(f"{where}.{n}", term.applies, self.facts)}
-
-    def _reward_terms(self) -> dict[str, Any]:
-        """Return the reward terms that apply, without those that read a termination which this task leaves out."""
-        fitting, known = self._fitting("reward.terms", self.reward.terms), self.settings.terminations
-        for name, term in fitting.items():
-            for end in term.reads():
-                if end not in known:
-                    raise ConfigError(
-                        f"reward.terms.{name} reads the termination {end!r}, which the task does not have."
-                        f"{suggest(end, known)} Its terminations: {', '.join(known)}."
-                    )
-        return {n: term for n, term in fitting.items() if all(end in self.terminations for end in term.reads())}
-
-    def _try(self) -> None:
-        """Run every term once, on the standing robot, so that one that does not fit is reported early."""
-        robot, batch = self.robot, (2,)
-        model = robot.model
-        zeros = np.zeros((*batch, model.nv)), np.zeros((*batch, model.nsensordata))
-        now = self.measure(np.broadcast_to(robot.standing_qpos, (*batch, model.nq)), *zeros)
-        rng = np.random.default_rng(0)
-        for name, randomise in self.randomisations.items():
-            start = robot.start_qpos.copy(), np.zeros(model.nv)
-            drawn = called(f"task.randomisations.{name}", randomise, rng, robot, *start)
-            shapes = [np.shape(values) for values in drawn] if isinstance(drawn, tuple) else type(drawn).__name__
-            if shapes != [(model.nq,), (model.nv,)] or not all(np.isfinite(values).all() for values in drawn):
-                raise ConfigError(
-                    f"task.randomisations.{name} must return finite qpos [{model.nq}] and qvel [{model.nv}], got "
-                    f"{shapes}."
-                )
-        first = self.begin(now, rng)
-        for table in (self.table, *([] if self.privileged is None else [self.privileged])):
-            table.check(Sensed(now, first, self.facts))
-        nothing = np.zeros((*batch, self.facts.actions)), np.zeros(batch, dtype=bool)
-        step = Step(now, first, {}, *nothing, self.facts, {})
-        with np.errstate(all="ignore"):
-            self.memory.check(first, step)
-            step = replace(step, after=self.memory.advance(step, rng))
-            ended = {f"task.terminations.{name}": term for name, term in self.terminations.items()}
-            held = {where: reading(where, term, step.before, step) for where, term in ended.items()}
-            step = replace(step, ended=dict(zip(self.terminations, held.values(), strict=True)))
-            rewarded = {f"reward.terms.{name}": term for name, term in self.terms.items()}
-            paid = {where: reading(where, term, step.before, step) for where, term in rewarded.items()}
-        for values, kinds, asked in ((held, "b", "true or false"), (paid, "fiu", "a finite number")):
-            for where, value in values.items():
-                given = np.asarray(value)
-                if given.shape != batch or given.dtype.kind not in kinds or not np.isfinite(given).all():
-                    raise ConfigError(
-                        f"{where} must return {asked} for each robot, shape {list(batch)}, got {list(given.shape)} "
-                        f"{given.dtype}{'' if np.isfinite(given).all() else ' that is not finite'}."
-                    )
-        for where, term in ended.items():
-            clock = called(where, term.clock, first, self.facts, self.time_limit)
-            source, sign = called(where, term.clock_mirror, self.facts)
-            length = 0 if clock is None else np.shape(clock)[-1]
-            if len(source) != length or len(sign) != length:
-                raise ConfigError(
-                    f"{where}: clock_mirror must return a source and a sign for each of the {length} numbers of clock, "
-                    f"got {len(source)} and {len(sign)}."
-                )
-        self.num_counters = self.counters(first, now).shape[-1]
-
-    # Measuring.
+        self.num_counters = try_terms(self)
 
     def measure(
         self, qpos: np.ndarray, qvel: np.ndarray, sensordata: np.ndarray, spot: Mapping[str, np.ndarray] | None = None
@@ -257,115 +169,7 @@ class SimulatedTask:
             sensordata: Readings of the sensors, shape ``[*, ns]``.
             spot: Memory, which holds where on the terrain the episodes began; ``None`` for its first lane.
         """
-        read = self._base.read(qpos, qvel)
-        place = {name: np.asarray(value - self._standing[name]) for name, (value, _) in read.items()}
-        if self.ground is not None:
-            place = self.ground.relative(place, spot)
-        if self.facts.base:
-            base = np.stack([np.stack([place[name], read[name][1]], axis=-1) for name in self.facts.base], axis=-2)
-            upright = np.cos(place.get("roll", 0.0)) * np.cos(place.get("pitch", 0.0))
-            tilt = np.broadcast_to(np.arccos(np.clip(upright, -1.0, 1.0)), qpos.shape[:-1])
-        else:
-            base, tilt = np.zeros((*qpos.shape[:-1], 0, 2)), np.zeros(qpos.shape[:-1])
-        return Measurement(
-            position=place["forward"],
-            height=place["height"],
-            velocity=np.asarray(read["forward"][1]),
-            # Indexing would give another memory layout than a checkpoint has, and sums would differ in their last bits.
-            angles=qpos.take(self._qpos, axis=-1),
-            velocities=qvel.take(self._qvel, axis=-1),
-            feet_down=sensordata.take(self._feet, axis=-1) > 0,
-            other_down=np.asarray((sensordata.take(self._others, axis=-1) > 0).any(axis=-1)),
-            shank_down=np.asarray((sensordata.take(self._shanks, axis=-1) > 0).any(axis=-1)),
-            base=base,
-            tilt=tilt,
-            feet_velocity=self._feet_velocity(sensordata),
-        )
-
-    def _feet_velocity(self, sensordata: np.ndarray) -> np.ndarray:
-        if self._foot_velocities is None:
-            return np.zeros((*sensordata.shape[:-1], 0, 3))
-        return np.asarray(sensordata.take(self._foot_velocities, axis=-1) @ self._base.frame.T)
-
-    def node_features(self, now: Measurement, memory: Memory | None = None) -> np.ndarray:
-        """Return the features of every node in one frame, ``float32 [*, N, F]``; see :class:`.FeatureTable`."""
-        nodes = self.table(Sensed(now, memory or {}, self.facts))
-        for noise in (NOISE, OWN_NOISE):
-            if memory is not None and noise in memory:
-                nodes = nodes + memory[noise]
-        return nodes
-
-    @property
-    def shown_command(self) -> Callable[[Array], Array] | None:
-        """Return a function that reads a commanded velocity from observations; ``None`` for a task without one."""
-        return None
-
-    @property
-    def shown_velocity(self) -> Callable[[Array], Array] | None:
-        """Return a function that reads how a robot moves from counters; ``None`` for a task without commands."""
-        return None
-
-    @property
-    def levels(self) -> tuple[float, ...] | None:
-        """Return the commanded heights of jumps, rising (m); ``None`` for a task without them."""
-        return None
-
-    @functools.cached_property
-    def posture(self) -> Posture:
-        """Return what shows the body's posture in observations."""
-        return Posture(self.table, self.history, self.robot.leg_length)
-
-    def phase(self, nodes: Array) -> Array:
-        """Return the phase that a task with a clock shows in observations, in periods from an episode's start.
-
-        Args:
-            nodes: Observations of the nodes, ``[*, N, F * H]``, of NumPy or PyTorch.
-
-        Returns:
-            Phases, ``[*]``.
-        """
-        xp, foot = array_namespace(nodes), self.robot.feet[0]
-        newest = nodes[..., (self.history - 1) * self.features :]
-        sine, cosine = (newest[(..., *self.table.place(f"{wave}_{foot}"))] for wave in ("clock_sin", "clock_cos"))
-        return xp.atan2(sine, cosine) / (2 * math.pi) - float(self.facts.foot_phases[0])
-
-    def counters(self, memory: Memory, now: Measurement | None = None) -> np.ndarray:
-        """Return what only critics observe, ``float32 [*, K]``.
-
-        It is the progress to each time-based termination, and the numbers of the privileged features.
-
-        Args:
-            memory: The memory.
-            now: The measurement; a task without privileged features needs none.
-        """
-        parts = [
-            called(f"task.terminations.{name}", term.clock, memory, self.facts, self.time_limit)
-            for name, term in self.terminations.items()
-        ]
-        shown = [part for part in parts if part is not None]
-        if self.privileged is not None:
-            if now is None:
-                raise ValueError("Privileged features are measured: counters needs the measurement.")
-            shown.append(self.privileged.flat(Sensed(now, memory, self.facts)))
-        if not shown:
-            return np.zeros((*memory[STEPS].shape, 0), dtype=np.float32)
-        return np.concatenate(shown, axis=-1).astype(np.float32)
-
-    def reflection(self) -> Reflection:
-        """Return the reflection of observations, actions and counters.
-
-        Raises:
-            RobotError: If the robot is not the same on its left and its right, see :func:`.check_mirror`.
-        """
-        mirrors = [term.clock_mirror(self.facts) for term in self.terminations.values()]
-        mirrors += [] if self.privileged is None else [self.privileged.flat_reflection()]
-        reflection, verdict = Reflection.of(self.robot, self.table, mirrors), check_mirror(self.robot, self.control_dt)
-        if not verdict.symmetric:
-            raise RobotError(
-                f"{self.robot.path} does not move alike on its left and its right. Set replay.mirror=false, and "
-                f"network.equivariant=false if that is on; or mend {verdict.reason}."
-            )
-        return reflection
+        return self._read(qpos, qvel, sensordata, spot)
 
     # Episodes.
 
@@ -453,10 +257,6 @@ class SimulatedTask:
         truncated = any_of("truncates", True) & ~terminated
         return Outcome(terms, terminated, truncated, any_of("succeeds", True) & ~terminated, diverged)
 
-    def command_ranges(self) -> dict[str, tuple[float, float]]:
-        """Return the range of each number of the commands by the name of its reading; empty for a task without."""
-        return {}
-
     # Variants of the task.
 
     def with_reward(self, reward: Reward) -> SimulatedTask:
@@ -497,7 +297,3 @@ class SimulatedTask:
         """Return the same task with fatal terminations only, after which the robot could not continue."""
         kept = {n: term if term is not None and term.fatal else None for n, term in self.settings.terminations.items()}
         return type(self)(self.robot, self.reward, replace(self.settings, terminations=kept), self.graph)
-
-
-def _named(key: str, terms: Mapping[str, Any]) -> dict[str, Any]:
-    return {f"{key}.{name}": term for name, term in terms.items()}

@@ -1,7 +1,7 @@
 """Terminations of the walking task; their defaults are the paper's numbers.
 
 Source: Phan Bui et al. 2022, Table 3 and section 3.2, and the training script that the paper's authors released;
-``conf/task/walk.yaml`` names the source of each number.
+``paper_terminations`` of :mod:`gctd3.tasks.walk` names the source of each number.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from array_api_compat import array_namespace
@@ -25,11 +25,11 @@ from gctd3.tasks.velocity_command import NAME, NEEDED, VelocityCommand
 from gctd3.tasks.velocity_features import AVERAGED, COMMANDS, privileged_features, velocity_features
 from gctd3.tasks.velocity_terms import StandStill, TrackVelocity, TrackYawRate
 
-EPISODE = 1000  # control steps
+EPISODE = 1000  # control steps: four commands
 
 
 def velocity_terms() -> dict[str, RewardTerm]:
-    """Return the terms of the reward."""
+    """Return the terms of the reward; each step is worth something, so that falling never beats walking badly."""
     return {
         "track": TrackVelocity(weight=3.0),
         "track_turn": TrackYawRate(weight=1.0),
@@ -43,7 +43,25 @@ def velocity_terms() -> dict[str, RewardTerm]:
     }
 
 
+@dataclass(frozen=True)
+class VelocityReward(Reward):
+    """Hold the terms of the reward for following a commanded velocity.
+
+    A YAML names only those that it adds, changes or leaves out. Pay that is linear in the error teaches a robot that
+    stands to walk; an exponential one (``reward=tracking``) does not.
+
+    Attributes:
+        terms: Terms by name, in the order of their sum; ``None`` leaves one out.
+    """
+
+    BY_NAME: ClassVar[tuple[str, ...]] = ("terms",)
+
+    terms: Mapping[str, Any] = field(default_factory=velocity_terms)
+
+
 def _terminations() -> dict[str, Termination]:
+    # Heights are in leg lengths, and shanks may graze the ground. The time limit truncates an episode: its value is
+    # bootstrapped, and it counts as a success.
     return {"fall": Fall(height=None, shanks=False), "time_limit": Survive(EPISODE)}
 
 
@@ -79,9 +97,9 @@ class VelocitySettings(Composition):
             raise ConfigError(f"commands must hold a command by the name {NAME}, got {', '.join(self.commands)}.")
 
     def build(self, robot: RobotSettings, reward: Reward | None = None) -> VelocityTask:
-        """Build the task, its robot and its graph; under :func:`velocity_terms` if ``reward`` is ``None``."""
+        """Build the task, its robot and its graph; under :class:`VelocityReward` if ``reward`` is ``None``."""
         loaded = robot.load()
-        asked = Reward(velocity_terms()) if reward is None else reward
+        asked = VelocityReward() if reward is None else reward
         return VelocityTask(loaded, asked, self, robot.graph_of(loaded))
 
 

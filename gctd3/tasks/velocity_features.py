@@ -241,13 +241,14 @@ def _moved(sensed: Sensed, time: float) -> np.ndarray:
 
 
 def velocity_features() -> dict[str, NodeFeature]:
-    """Return the features that the policy observes."""
+    """Return the features that the policy observes, for which robots have sensors, in their order in a node."""
     return {
         "gravity_up": GravityUp(),
         "gravity": GravityDirection(),
         "gyroscope": Gyroscope(),
         "command_forward": CommandForward(),
         "command_base": CommandBase(),
+        # Joints that stand bent in different ways share the network's weights.
         "angle": JointAngle(from_home=True),
         "angular_velocity": JointVelocity(),
         "last_action": LastAction(),
@@ -256,11 +257,12 @@ def velocity_features() -> dict[str, NodeFeature]:
 
 
 def privileged_features() -> dict[str, NodeFeature]:
-    """Return the features that only critics observe."""
+    """Return the features that only critics observe: what robots have no sensor for."""
     return {
         "height": Height(),
         "forward": HeadingForward(),
         "side": HeadingBase(),
+        # As the reward averages them.
         "forward_averaged": HeadingForward(time=SWAY),
         "base_averaged": HeadingBase(time=SWAY),
     }

@@ -18,11 +18,17 @@ from gctd3.tasks.terms import Randomisation, Termination
 
 
 def paper_terminations() -> dict[str, Termination]:
-    """Return the terminations of the paper's episodes."""
+    """Return the terminations of the paper's episodes.
+
+    The finish and the time limit truncate an episode (its value is bootstrapped), all others terminate it.
+    """
     return {
         "fall": Fall(),
+        # Table 3 names the rule, the released script the number.
         "long_contact": LongContact(),
+        # Released script only.
         "stuck_hip": StuckHip(),
+        # Section 3.2.
         "finish": Finish(),
         "time_limit": TimeLimit(),
     }

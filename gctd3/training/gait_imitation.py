@@ -13,10 +13,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from gctd3.algorithms.base import Algorithm
 from gctd3.algorithms.imitation import Imitation
 from gctd3.data.demonstration import Demonstration
-from gctd3.data.evolution import Evolution
 from gctd3.data.exploration import Explorer
 from gctd3.data.gait_policy import ByClock
 from gctd3.data.jumping import Jumping
+from gctd3.data.motion_search import MotionSearch
 from gctd3.data.replay import Replay
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.tasks.task import Task
@@ -48,14 +48,14 @@ class GaitImitation:
         """Take the policy as it is now, that of another run, as what the actor is held to."""
         self._initial = algorithm.policy() if self._asked else None
 
-    def shown_gait(self, explorer: Explorer) -> Evolution | None:
+    def shown_gait(self, explorer: Explorer) -> MotionSearch | None:
         """Return the gaits of the warm-up, while it lasts, if a policy is to learn the fittest one from robots.
 
         That is a policy without a clock, or one that jumps.
         """
         gait = explorer.rhythm
         asked = self._asked and self._initial is None and (self.task.gait is None or isinstance(gait, Jumping))
-        return gait if asked and isinstance(gait, Evolution) and explorer.warming_up else None
+        return gait if asked and isinstance(gait, MotionSearch) and explorer.warming_up else None
 
     def demonstrates(self, explorer: Explorer) -> bool:
         """Return whether robots follow the fittest gait from the next step on, for a policy to learn it from them."""
@@ -68,7 +68,7 @@ class GaitImitation:
         Returns:
             The mean squared difference of their actions; ``None`` where no gait is imitated.
         """
-        if isinstance(explorer.rhythm, Evolution) and explorer.rhythm.final:
+        if isinstance(explorer.rhythm, MotionSearch) and explorer.rhythm.final:
             self.demonstration.keep(explorer.rhythm.followers)
         self.follow(algorithm, explorer)
         imitation = algorithm.imitation
@@ -88,7 +88,7 @@ class GaitImitation:
             algorithm.imitation = Imitation(settings, partial(_action, self._initial))
             return
         sample = self.demonstration.sample if len(self.demonstration) else None
-        if task.gait is not None and isinstance(gait, Evolution) and gait.tried:
+        if task.gait is not None and isinstance(gait, MotionSearch) and gait.tried:
             # What the gait does at the observed time, without the noise.
             algorithm.imitation = Imitation(settings, ByClock(gait, cast(SimulatedTask, task)).action, sample)
         elif sample is not None:

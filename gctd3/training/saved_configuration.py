@@ -18,7 +18,7 @@ from yaml import YAMLError
 import gctd3
 from gctd3.compat import stored_mapping
 from gctd3.config.build import MODULES, build
-from gctd3.config.command_line import chooses, ships
+from gctd3.config.options import chooses, ships
 from gctd3.config.paths import escaped
 from gctd3.errors import ConfigError, RunError
 from gctd3.files import check_regular, write_text

@@ -139,13 +139,14 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
         with enduring_output():
             gc.enable()  # which the command disabled for its start
             trainer.run(stop)
-            print(closing(trainer.best, run, config, walks, trainer.finished))
+            print(closing(trainer.evaluations.best, run, config, walks, trainer.finished))
             if not trainer.finished:
                 print(f"Continue it:  {again(config, 'train', f'resume={run}')}")
+    best = trainer.evaluations.best
     if stop.file is not None:
         with enduring_output():
-            print(f"{quoted(run)}: {'stopped' if stop else 'done'}. {best_text(trainer.best, walks)}", flush=True)
-    return trainer.best
+            print(f"{quoted(run)}: {'stopped' if stop else 'done'}. {best_text(best, walks)}", flush=True)
+    return best
 
 
 @contextlib.contextmanager

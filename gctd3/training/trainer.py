@@ -1,22 +1,19 @@
-"""Train a policy: collect, store, update, evaluate, keep the best policy, and save the state to continue later."""
+"""Train a policy: collect, store, update, evaluate when it is time, and save the state to continue later."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import math
-import sys
 import threading
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl import torchrl_logger
 from tqdm import tqdm
@@ -25,25 +22,21 @@ from gctd3.algorithms.base import Algorithm
 from gctd3.config.build import again
 from gctd3.config.fields import in_yaml
 from gctd3.data.build_collector import build_collector
-from gctd3.data.evolution import Evolution
 from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
-from gctd3.data.gait_policy import fittest_gait
 from gctd3.data.inline_collector import InlineCollector
 from gctd3.data.mirror_augmentation import MirrorAugmentation
 from gctd3.data.replay import Replay
 from gctd3.envs.factory import EnvRecipe
-from gctd3.errors import NumericalError, RunError, TrainingError, WorkerError
-from gctd3.evaluation.rollout import evaluate
-from gctd3.files import quoted, write_text
+from gctd3.errors import NumericalError, TrainingError, WorkerError
+from gctd3.files import quoted
 from gctd3.setup.setup import Setup
 from gctd3.signals import StopRequest
-from gctd3.tasks.simulated_task import SimulatedTask
-from gctd3.training.announcements import figures
-from gctd3.training.checkpoint import Checkpoints, checked, fit
-from gctd3.training.confirmation import confirm, described, evaluation_env, measure
+from gctd3.training.checkpoint import Checkpoints, fit
+from gctd3.training.confirmation import evaluation_env
 from gctd3.training.device import pick_device
 from gctd3.training.diagnosis import why_given_up
+from gctd3.training.evaluations import Evaluations
 from gctd3.training.gait_imitation import GaitImitation
 from gctd3.training.give_up import Watch
 from gctd3.training.initial_networks import begin_from
@@ -52,10 +45,8 @@ from gctd3.training.progress import Counters, ProgressLine
 from gctd3.training.rng_state import load_random_state, random_state, seed_all
 from gctd3.training.run_log import RunLog
 from gctd3.training.settings import TrainSettings
-from gctd3.viz.film import FPS, clip
 
 MOST_TIME = 0.03  # share of the wall-clock that checkpoints may take
-WARMUP_GAIT = "warmup_gait.json"  # what the warm-up's fittest gait reaches without a policy
 
 
 class Trainer:
@@ -68,7 +59,7 @@ class Trainer:
         setup: The robot, its task and the shape of its networks; built from the settings if ``None``.
 
     Attributes:
-        best: Metrics of the best evaluation so far.
+        evaluations: Its evaluations, with the metrics of the best one so far.
     """
 
     def __init__(
@@ -97,13 +88,13 @@ class Trainer:
         recipe = EnvRecipe(task, env)
         self.collector = build_collector(settings.collector, recipe, settings.batch_steps, settings.seed, self.explorer)
         evaluated = settings.evaluation.episodes, settings.evaluation.seed
-        self.evaluation_env = evaluation_env(settings, task, *evaluated, env.threads)
+        robots = evaluation_env(settings, task, *evaluated, env.threads)
         manifest = {"graph": {"nodes": setup.graph.nodes, "edges": setup.graph.edges}, **(about or {})}
         self.checkpoints = Checkpoints(directory, settings.keep_checkpoints, manifest)
         self.log = RunLog(directory, settings.logger)
+        self.evaluations = Evaluations(settings, task, robots, self.checkpoints, self.log)
         self.counters = Counters(next_evaluation=self._first_evaluation)
         self.watch = self._new_watch()
-        self.best: dict[str, float] | None = None
         self._clock = time.monotonic()
         self._next_save = settings.checkpoint_every
 
@@ -174,8 +165,8 @@ class Trainer:
                 command = again(in_yaml(self.settings), "train", f"resume={self.directory}")
                 raise WorkerError(f"{error}. Continue it:  {command}") from error
             self.save()
-        self.evaluation_env.close(raise_if_closed=False)
-        return self.best
+        self.evaluations.env.close(raise_if_closed=False)
+        return self.evaluations.best
 
     def _iterate(self, line: ProgressLine) -> None:
         """Collect, update, and evaluate if it is time."""
@@ -220,7 +211,7 @@ class Trainer:
         now.next_evaluation += settings.evaluation.every
         row = self._evaluate()
         self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
-        line.evaluated(self._figures(row))
+        line.evaluated(self.evaluations.figures(row, now.diverged))
         if not self._spent and self.gait_imitation.failed(self.algorithm, now.in_a_row, now.restarts):
             self._begin_again(line, "the policy that begins as the warm-up's fittest gait misses the conditions.")
         elif settings.stop_when.all_reached(row):
@@ -241,57 +232,7 @@ class Trainer:
         now.next_evaluation = now.frames + self._first_evaluation
 
     def _evaluate(self) -> dict[str, float]:
-        settings, now = self.settings, self.counters
-        if not (self.directory / WARMUP_GAIT).exists():
-            self._evaluate_gait()
-        policy = self.algorithm.policy()
-        metrics: dict[str, float] = {
-            "frames": now.frames,
-            "updates": now.updates,
-            "wall_s": round(self._wall(), 2),
-            "diverged": now.diverged,
-            "train_episodes": now.episodes,
-            "restarts": now.restarts,
-            **measure(policy, self.evaluation_env, self.setup.task, settings, settings.evaluation.seed),
-        }
-        sure = self._confirmed(policy, metrics)
-        if sure is not None:
-            metrics["confirmed"] = float(sure)
-        if sure or self.best is None or settings.stop_when.score(metrics) > settings.stop_when.score(self.best):
-            self.checkpoints.save_best(now.frames, policy, metrics)
-            self.best = metrics
-        self.log.add_row(metrics)
-        if settings.video:
-            self.log.clip(clip(policy, cast(SimulatedTask, self.setup.task), settings.evaluation.seed), FPS, now.frames)
-        return metrics
-
-    def _confirmed(self, policy: TensorDictModuleBase, metrics: Mapping[str, float]) -> bool | None:
-        """Count evaluations in a row that met all conditions; return whether a policy that would end is confirmed.
-
-        ``None`` where nothing is to be confirmed.
-        """
-        stop_when, now = self.settings.stop_when, self.counters
-        now.in_a_row = now.in_a_row + 1 if stop_when.all_reached(metrics) else 0
-        if not stop_when.confirm or not stop_when.ends_after(now.in_a_row):
-            return None
-        again = confirm(policy, self.settings, self.setup.task)
-        sure = stop_when.all_reached(again)
-        if not sure:
-            now.in_a_row = 0
-        tqdm.write(described(again, stop_when.confirm, sure))
-        return sure
-
-    def _evaluate_gait(self) -> None:
-        """Evaluate the warm-up's fittest gait without a policy, to see later what learning has added."""
-        rhythm, task = self.explorer.rhythm, self.setup.task
-        if not isinstance(rhythm, Evolution) or "film" not in task.abilities:
-            return
-        gait = fittest_gait(rhythm, cast(SimulatedTask, task))
-        if gait is None:
-            return
-        metrics = evaluate(gait, self.evaluation_env, task, self.settings.evaluation.seed).summary()
-        tqdm.write(f"The fittest gait of the warm-up: {figures(metrics)}.")
-        write_text(self.directory / WARMUP_GAIT, json.dumps(metrics, indent=1) + "\n")
+        return self.evaluations.evaluate(self.algorithm.policy(), self.explorer.rhythm, self.counters, self._wall)
 
     def _wall(self) -> float:
         return self.counters.wall_s + time.monotonic() - self._clock
@@ -323,34 +264,14 @@ class Trainer:
         path = self.checkpoints.directory
         fit(path, lambda: self.replay.load_state_dict(state.pop("replay"), rows))
         fit(path, lambda: self.load_state_dict(state))
-        self._check_best(self.checkpoints.forget_after(self.counters.frames))
+        self.evaluations.check_best(self.checkpoints.forget_after(self.counters.frames))
         return True
-
-    def _check_best(self, follows: bool) -> None:
-        """Let the next policy count as the best one if the files of the best one so far are gone or damaged.
-
-        Args:
-            follows: Whether they are gone because a better one came, which is now made again.
-        """
-        if self.best is None:
-            return
-        try:
-            checked(self.checkpoints.best())
-        except RunError as error:
-            lost, self.best = int(self.best["frames"]), None
-            if follows:
-                return
-            print(
-                f"The best policy so far, of {lost:,} steps, is lost: {error} The next one that is evaluated takes its "
-                "place.",
-                file=sys.stderr,
-            )
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state that the rest of the training depends on, without the replay."""
         return {
             "counters": {**asdict(self.counters), "wall_s": self._wall()},
-            "best": self.best,
+            "best": self.evaluations.best,
             "rows": self.log.rows,
             "algorithm": self.algorithm.state_dict(),
             "explorer": self.explorer.state_dict(),
@@ -363,7 +284,7 @@ class Trainer:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the state that :meth:`state_dict` returned."""
         self.counters = Counters(**state["counters"])
-        self.best = state["best"]
+        self.evaluations.best = state["best"]
         self.log.restore(state["rows"], self.counters.frames)
         self.algorithm.load_state_dict(state["algorithm"])
         self.explorer.load_state_dict(state["explorer"])
@@ -375,12 +296,3 @@ class Trainer:
         load_random_state(state["random"], self.device)
         self._clock = time.monotonic()
         self._next_save = self._wall() + self.settings.checkpoint_every
-
-    def _figures(self, row: Mapping[str, float]) -> dict[str, str]:
-        best = self.best if self.best is not None else row
-        shown = {
-            "return": f"{row['return_mean']:.0f}",
-            **({"success": f"{row['success_rate']:.0%}"} if "film" in self.setup.task.abilities else {}),
-            "best": f"{best['return_mean']:.0f}",
-        }
-        return {**shown, "diverged": str(self.counters.diverged)} if self.counters.diverged else shown

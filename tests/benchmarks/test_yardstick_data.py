@@ -42,7 +42,7 @@ def sides(recipe, tmp_path):
         settings = build(composed(*recipe.ours(algo, task, values), long, "evaluation.episodes=2"))
         trainer, model = Trainer(replace(settings, logger="none"), tmp_path), recipe.theirs(algo, task, values, SEED)
         ours = trainer.collector.env
-        for env in (*robots(ours), *robots(trainer.evaluation_env), *model.env.envs):
+        for env in (*robots(ours), *robots(trainer.evaluations.env), *model.env.envs):
             shorten(env)
         # The state in which theirs begins its first episode.
         robots(ours)[0].unwrapped.np_random = seeding.np_random(SEED)[0]
@@ -181,7 +181,7 @@ def test_both_are_evaluated_by_the_tasks_own_returns(sides, algo, task, tmp_path
     evaluator = peers.Evaluator(trainer.settings, tmp_path / "theirs", peers.ENDLESS, threads=1)
     alone = gymnasium.make(robots(evaluator.env)[0].spec.id)
     # All episodes have one start, so that a single episode gives the expected return.
-    for env in (*robots(evaluator.env), *robots(trainer.evaluation_env), alone):
+    for env in (*robots(evaluator.env), *robots(trainer.evaluations.env), alone):
         shorten(env)
         env.unwrapped._reset_noise_scale = 0.0
 

@@ -2,8 +2,10 @@
 
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
 import yaml
@@ -88,6 +90,34 @@ def test_names_are_those_of_the_front_door():
     assert name_of(Mine) == MINE
 
 
+@dataclass(frozen=True)
+class Terms:
+    """Hold terms by name, and other settings in a mapping that is no list of terms.
+
+    Attributes:
+        terms: Terms.
+        plain: A mapping.
+    """
+
+    BY_NAME: ClassVar[tuple[str, ...]] = ("terms",)
+
+    terms: Mapping[str, Any] = field(default_factory=lambda: {"a": Inner(3), "b": Inner(4, 5.0), "c": Mine("x")})
+    plain: Mapping[str, Any] = field(default_factory=lambda: {"a": Inner(3)})
+
+
+@dataclass(frozen=True)
+class Outer:
+    """Hold a term that has terms of its own.
+
+    Attributes:
+        terms: Terms.
+    """
+
+    BY_NAME: ClassVar[tuple[str, ...]] = ("terms",)
+
+    terms: Mapping[str, Any] = field(default_factory=lambda: {"t": Terms()})
+
+
 # Completing a configuration.
 
 
@@ -99,6 +129,33 @@ def test_what_is_missing_is_added_and_what_is_said_is_kept():
     assert completed({"_target_": MINE})["must"] == "???"
     assert completed({"_target_": MINE, "must": "???", "inner": None})["inner"] is None
     assert completed({"list": [{"_target_": MINE, "must": "x"}]})["list"][0]["items"] == [1, 2]
+
+
+def test_terms_by_name_are_completed_name_by_name():
+    """Numbers of a term are the default's unless the YAML gives them or another class; its own names stand last."""
+    inner, mine = f"{__name__}.Inner", defaults_of(Mine)
+    b = {"size": "${n}"}
+    said = {"_target_": f"{__name__}.Terms", "terms": {"d": {"_target_": inner}, "b": b, "a": None}, "plain": {}}
+    config = OmegaConf.create({"n": 7, "settings": said})
+    complete(config, ours=True)
+    full = OmegaConf.to_container(config.settings, resolve=True)
+    assert list(full["terms"]) == ["a", "b", "c", "d"] and full["plain"] == {}
+    assert full["terms"] == {
+        "a": None,
+        "b": {"_target_": inner, "size": 7, "other": 5.0},
+        "c": {**mine, "_target_": MINE, "must": "x"},
+        "d": {"_target_": inner, "size": 1, "other": 2.0},
+    }
+    other = completed({**said, "terms": {"c": {"_target_": inner}, "b": {"_target_": inner, "size": 6}}})["terms"]
+    assert other["c"] == {"_target_": inner, "size": 1, "other": 2.0}
+    assert other["b"] == {"_target_": inner, "size": 6, "other": 5.0}
+    assert completed({**said, "terms": None})["terms"] is None
+    # A mapping that is a term's number is the YAML's as it stands.
+    listed = {"_target_": f"{__name__}.Terms", "terms": {"e": {"plain": {"b": {"_target_": inner}}}}}
+    outer = completed({"_target_": f"{__name__}.Outer", "terms": {"t": listed}})["terms"]["t"]
+    assert list(outer["terms"]) == ["a", "b", "c", "e"]
+    nested = completed({"_target_": f"{__name__}.Outer", "terms": {"t": {"plain": {"b": {"_target_": inner}}}}})
+    assert list(nested["terms"]["t"]["plain"]) == ["b"] and list(nested["terms"]["t"]["terms"]) == ["a", "b", "c"]
 
 
 def test_what_is_to_be_resolved_later_is_left_alone():

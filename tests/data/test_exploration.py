@@ -10,7 +10,8 @@ from robots import opposite_axes
 from tensordict import TensorDict
 from torchrl.collectors import Collector
 
-from gctd3.data.exploration import Explorer, Rhythm
+from gctd3.data.exploration import Explorer
+from gctd3.data.rhythm import Rhythm
 from gctd3.data.settings import ExplorationSettings
 from gctd3.errors import ConfigError
 from gctd3.nn import make_actor, make_stochastic_actor

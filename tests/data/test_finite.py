@@ -16,6 +16,7 @@ from gctd3.envs.simulation import BEGINNING, Simulation
 from gctd3.errors import NumericalError
 from gctd3.files import load_tree, read_manifest
 from gctd3.training.checkpoint import Checkpoints
+from gctd3.training.evaluations import Evaluations
 from gctd3.training.saved_configuration import load_settings
 
 STEP = 25  # control steps of the four robots before the fault: 100 frames, after the warm-up
@@ -260,16 +261,16 @@ def explode(trainer):
 
 
 @parametrize(2, "backend", ["batched", "dm_control"])
-def test_a_divergence_is_counted(tmp_path, backend):
-    shown = []
+def test_a_divergence_is_counted(tmp_path, monkeypatch, backend):
+    shown, figures = [], Evaluations.figures
 
-    class Watched(poisoned(explode)):
-        def _figures(self, row):
-            shown.append(super()._figures(row))
-            return shown[-1]
+    def watched(self, row, diverged):
+        shown.append(figures(self, row, diverged))
+        return shown[-1]
 
+    monkeypatch.setattr(Evaluations, "figures", watched)
     run = tmp_path / "run"
-    assert command("train", *tiny(run, f"env.backend={backend}"), trainer=Watched) == 0
+    assert command("train", *tiny(run, f"env.backend={backend}"), trainer=poisoned(explode)) == 0
     with (run / "progress.csv").open() as file:
         assert [row["diverged"] for row in csv.DictReader(file)] == ["0", "1", "1"]
     assert ["diverged" in one for one in shown] == [False, True, True] and shown[-1]["diverged"] == "1"

@@ -8,8 +8,8 @@ from compositions import STILL, env_of, reward, walking
 from running import train
 from suite_robots import load
 
-from gctd3.data.exploration import Rhythm
 from gctd3.data.mirror_augmentation import MirrorAugmentation
+from gctd3.data.rhythm import Rhythm
 from gctd3.envs.simulation import Simulation
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot

@@ -16,7 +16,7 @@ from gctd3.evaluation import rollout
 from gctd3.runs.evaluate import measure_run
 from gctd3.runs.load import load_run
 from gctd3.runs.settings import EvaluateSettings
-from gctd3.training import confirmation, trainer
+from gctd3.training import confirmation, evaluations
 from gctd3.training.checkpoint import Checkpoints
 from gctd3.training.stop_when import StopWhen
 
@@ -68,7 +68,7 @@ def test_a_policy_that_is_not_confirmed_trains_on_and_a_confirmed_one_is_the_bes
         verdict, again[0] = again[0], again[1]
         return verdict or {"return_mean": 0.0, "success_rate": 0.0, "velocity_mean": 0.0}
 
-    monkeypatch.setattr(trainer, "confirm", confirm)
+    monkeypatch.setattr(evaluations, "confirm", confirm)
     run = train(tmp_path / "run", *EASY, "stop_when.confirm=3")
     assert [(row["frames"], row["confirmed"]) for row in rows(run)] == [("80", "0.0"), ("160", "1.0")]
     assert Checkpoints(run).best().name == "best-000000000160" and Recorded.last.finished
@@ -127,7 +127,7 @@ def test_confirming_changes_nothing_of_the_training(tmp_path, monkeypatch):
 
     plain = train(tmp_path / "plain", *EASY, "stop_when.evaluations=null")
     weights = Recorded.last.algorithm.actor.state_dict()
-    monkeypatch.setattr(trainer, "confirm", never)
+    monkeypatch.setattr(evaluations, "confirm", never)
     other = train(tmp_path / "other", *EASY, "stop_when.confirm=2")
     drop = ("wall_s", "confirmed")
     assert rows(plain, drop) == rows(other, drop)

@@ -7,7 +7,7 @@ import pytest
 from running import command
 
 from gctd3.tasks.jump_command import JumpCommand
-from gctd3.training.trainer import WARMUP_GAIT
+from gctd3.training.evaluations import WARMUP_GAIT
 
 
 @pytest.mark.nightly

@@ -23,7 +23,7 @@ from gctd3.comparison.groups import groups_of
 from gctd3.comparison.runs import find_runs
 from gctd3.comparison.verdict import verdict
 from gctd3.config.build import build
-from gctd3.config.command_line import explain
+from gctd3.config.explanation import explain
 from gctd3.errors import NumericalError
 from gctd3.training import session, sweep
 from gctd3.training.saved_configuration import save_config

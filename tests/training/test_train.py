@@ -95,13 +95,14 @@ def test_load_policy_is_the_policy_that_was_evaluated_best(runs):
         actions = {
             frames: policy(TensorDict({"nodes": nodes}, [20]))["action"] for frames, policy in trainer.policies.items()
         }
-    assert [frames for frames, action in actions.items() if torch.equal(action, loaded)] == [trainer.best["frames"]]
+    best = trainer.evaluations.best["frames"]
+    assert [frames for frames, action in actions.items() if torch.equal(action, loaded)] == [best]
 
 
 @parametrize(2, "algorithm", ["gctd3", "sac"])
 def test_a_later_evaluation_repeats_the_one_in_training(runs, algorithm, capsys):
     run, trainer = runs(algorithm)
-    best = next(row for row in rows(run) if int(row["frames"]) == trainer.best["frames"])
+    best = next(row for row in rows(run) if int(row["frames"]) == trainer.evaluations.best["frames"])
     assert command("evaluate", f"run={run}", "episodes=2", "seed=1000", "threads=2") == 0
     report = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
     for name in ("return_mean", "return_std", "velocity_mean", "distance_mean", "success_rate"):
@@ -157,7 +158,7 @@ def test_the_best_checkpoint_of_a_run_is_the_best_row(runs):
     best = max(rows(run), key=lambda row: float(row["return_mean"]))
     assert Checkpoints(run).best().name == f"best-{int(best['frames']):012d}"
     assert [path.name for path in (run / "checkpoints").glob("best-*")] == [Checkpoints(run).best().name]
-    assert trainer.best["frames"] == int(best["frames"])
+    assert trainer.evaluations.best["frames"] == int(best["frames"])
 
 
 EASY = ["~stop_when.at_most", "~stop_when.at_least.stride_hz", "stop_when.at_least.success_rate=0"]

@@ -1,0 +1,146 @@
+"""Evaluate the policies of a training, and keep the best one."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from typing import cast
+
+from tensordict.nn import TensorDictModuleBase
+from torch.nn import Module
+from torchrl.envs import EnvBase
+from tqdm import tqdm
+
+from gctd3.data.gait_policy import fittest_gait
+from gctd3.data.motion_search import MotionSearch
+from gctd3.errors import RunError
+from gctd3.evaluation.rollout import evaluate
+from gctd3.files import write_text
+from gctd3.tasks.simulated_task import SimulatedTask
+from gctd3.tasks.task import Task
+from gctd3.training.announcements import figures
+from gctd3.training.checkpoint import Checkpoints, checked
+from gctd3.training.confirmation import confirm, described, measure
+from gctd3.training.progress import Counters
+from gctd3.training.run_log import RunLog
+from gctd3.training.settings import TrainSettings
+from gctd3.viz.film import FPS, clip
+
+WARMUP_GAIT = "warmup_gait.json"  # what the warm-up's fittest gait reaches without a policy
+
+
+class Evaluations:
+    """Evaluate policies on robots of their own, write a row for each evaluation, and keep the best policy.
+
+    Args:
+        settings: Settings of the training.
+        task: Its task.
+        env: Robots of :func:`.evaluation_env`.
+        checkpoints: Where the best policy is kept.
+        log: Log of the run.
+
+    Attributes:
+        best: Metrics of the best evaluation so far; ``None`` before the first one.
+    """
+
+    def __init__(
+        self, settings: TrainSettings, task: Task, env: EnvBase, checkpoints: Checkpoints, log: RunLog
+    ) -> None:
+        self.settings, self.task, self.env = settings, task, env
+        self.checkpoints, self.log = checkpoints, log
+        self.best: dict[str, float] | None = None
+
+    def evaluate(
+        self, policy: TensorDictModuleBase, rhythm: Module | None, now: Counters, wall: Callable[[], float]
+    ) -> dict[str, float]:
+        """Evaluate a policy, and keep it if it is the best one so far.
+
+        Args:
+            policy: The policy, on the CPU.
+            rhythm: Motions of the warm-up, of which the fittest one is evaluated before the first policy.
+            now: Counters of the training, in which evaluations in a row that met all conditions are counted.
+            wall: Function that returns the seconds spent.
+
+        Returns:
+            The row of the evaluation.
+        """
+        settings = self.settings
+        if not (self.checkpoints.run / WARMUP_GAIT).exists():
+            self._evaluate_gait(rhythm)
+        metrics: dict[str, float] = {
+            "frames": now.frames,
+            "updates": now.updates,
+            "wall_s": round(wall(), 2),
+            "diverged": now.diverged,
+            "train_episodes": now.episodes,
+            "restarts": now.restarts,
+            **measure(policy, self.env, self.task, settings, settings.evaluation.seed),
+        }
+        sure = self._confirmed(policy, metrics, now)
+        if sure is not None:
+            metrics["confirmed"] = float(sure)
+        if sure or self.best is None or settings.stop_when.score(metrics) > settings.stop_when.score(self.best):
+            self.checkpoints.save_best(now.frames, policy, metrics)
+            self.best = metrics
+        self.log.add_row(metrics)
+        if settings.video:
+            self.log.clip(clip(policy, cast(SimulatedTask, self.task), settings.evaluation.seed), FPS, now.frames)
+        return metrics
+
+    def _confirmed(self, policy: TensorDictModuleBase, metrics: Mapping[str, float], now: Counters) -> bool | None:
+        """Count evaluations in a row that met all conditions; return whether a policy that would end is confirmed.
+
+        ``None`` where nothing is to be confirmed.
+        """
+        stop_when = self.settings.stop_when
+        now.in_a_row = now.in_a_row + 1 if stop_when.all_reached(metrics) else 0
+        if not stop_when.confirm or not stop_when.ends_after(now.in_a_row):
+            return None
+        again = confirm(policy, self.settings, self.task)
+        sure = stop_when.all_reached(again)
+        if not sure:
+            now.in_a_row = 0
+        tqdm.write(described(again, stop_when.confirm, sure))
+        return sure
+
+    def _evaluate_gait(self, rhythm: Module | None) -> None:
+        """Evaluate the warm-up's fittest gait without a policy, to see later what learning has added."""
+        if not isinstance(rhythm, MotionSearch) or "film" not in self.task.abilities:
+            return
+        gait = fittest_gait(rhythm, cast(SimulatedTask, self.task))
+        if gait is None:
+            return
+        metrics = evaluate(gait, self.env, self.task, self.settings.evaluation.seed).summary()
+        tqdm.write(f"The fittest gait of the warm-up: {figures(metrics)}.")
+        write_text(self.checkpoints.run / WARMUP_GAIT, json.dumps(metrics, indent=1) + "\n")
+
+    def check_best(self, follows: bool) -> None:
+        """Let the next policy count as the best one if the files of the best one so far are gone or damaged.
+
+        Args:
+            follows: Whether they are gone because a better one came, which is now made again.
+        """
+        if self.best is None:
+            return
+        try:
+            checked(self.checkpoints.best())
+        except RunError as error:
+            lost, self.best = int(self.best["frames"]), None
+            if follows:
+                return
+            print(
+                f"The best policy so far, of {lost:,} steps, is lost: {error} The next one that is evaluated takes its "
+                "place.",
+                file=sys.stderr,
+            )
+
+    def figures(self, row: Mapping[str, float], diverged: int) -> dict[str, str]:
+        """Return what the line of progress shows of an evaluation and of the best one so far."""
+        best = self.best if self.best is not None else row
+        shown = {
+            "return": f"{row['return_mean']:.0f}",
+            **({"success": f"{row['success_rate']:.0%}"} if "film" in self.task.abilities else {}),
+            "best": f"{best['return_mean']:.0f}",
+        }
+        return {**shown, "diverged": str(diverged)} if diverged else shown
