@@ -7,6 +7,7 @@ import re
 import select
 import signal
 import subprocess
+import tempfile
 import weakref
 from typing import IO, ClassVar
 from xml.etree import ElementTree
@@ -16,6 +17,7 @@ import numpy as np
 from gctd3.engines.engine import OtherEngine, Pose, ground_friction
 from gctd3.engines.gazebo_program import plugin, program
 from gctd3.errors import EngineError, RobotError
+from gctd3.files import write_text
 from gctd3.robots.draft import listed
 from gctd3.robots.unsaid import Format
 
@@ -49,23 +51,24 @@ class Gazebo(OtherEngine):
         if scoped:
             raise RobotError(f"{self.robot.path}: an SDF cannot have the names {listed(scoped)}, for their '::'.")
         world = self.file.with_name("world.sdf")
-        world.write_text(self._world(self.file.read_text(encoding="utf-8")), encoding="utf-8")
+        write_text(world, self._world(self.file.read_text(encoding="utf-8")))
         self._names = tuple(link.name for link in self.links.links)
         free = self.free is not None
         arguments = [plugin(), world, self.timestep, int(free), len(self.joints), *self.joints, *self._names]
-        self._log = self.file.with_name("gazebo.log")
         self._wide = 2 * len(self.joints) + (_BASE if free else 0) + len(self._names)
         made = program(self.file.parent)
-        with self._log.open("wb") as log:
-            self._process = subprocess.Popen(
-                [str(made), *map(str, arguments)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                bufsize=0,
-                # The libraries keep logs at home.
-                env={**os.environ, "HOME": str(self.file.parent)},
-            )
+        # What the program says.
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the engine
+        weakref.finalize(self, self._log.close)
+        self._process = subprocess.Popen(
+            [str(made), *map(str, arguments)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            bufsize=0,
+            # The libraries keep logs at home.
+            env={**os.environ, "HOME": str(self.file.parent)},
+        )
         weakref.finalize(self, _end, self._process)
         assert self._process.stdin is not None and self._process.stdout is not None
         self._to: IO[bytes] = self._process.stdin
@@ -149,7 +152,8 @@ class Gazebo(OtherEngine):
     def _ended(self) -> EngineError:
         """Return the error of a program that has ended, with the last line that it wrote."""
         code = _wait(self._process)
-        lines = _COLOUR.sub("", self._log.read_text(encoding="utf-8", errors="replace")).splitlines()
+        self._log.seek(0)
+        lines = _COLOUR.sub("", self._log.read().decode("utf-8", "replace")).splitlines()
         # Its profiler complains that it gets no port, see gazebo.cpp.
         said = [" ".join(line.split()) for line in lines if line.strip() and "Remotery" not in line]
         how = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
