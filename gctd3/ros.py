@@ -1,7 +1,4 @@
-"""Run a policy and a simulator as nodes of ROS: ``python -m gctd3.ros node=both policy=policy.onnx``.
-
-Without Hydra, which a robot need not have.
-"""
+"""Run a policy and a simulator as nodes of ROS, without Hydra: ``python -m gctd3.ros node=both policy=policy.onnx``."""
 
 from __future__ import annotations
 
