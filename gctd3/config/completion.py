@@ -54,6 +54,7 @@ def complete(config: DictConfig | ListConfig, ours: bool = False, path: str = ""
 
     Raises:
         ConfigError: If a ``_target_`` cannot be imported, or settings of a part have taken the place of the whole.
+        PackageError: If the module of a ``_target_`` needs a package that is missing.
     """
     if isinstance(config, DictConfig):
         target = _inner(config, TARGET) if _says(config, TARGET) else None

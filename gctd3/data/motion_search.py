@@ -1,4 +1,4 @@
-"""What searches for open-loop motions in the warm-up share: all robots try motions, and the fittest one is shown."""
+"""The search for open-loop motions in the warm-up: all robots try motions, and the fittest one is shown."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class MotionSearch(torch.nn.Module, ABC):
     @property
     @abstractmethod
     def followers(self) -> Tensor:
-        """Return which robots try the winner then, bool ``[robots]``."""
+        """Return which robots try the winner while :attr:`shows` holds, bool ``[robots]``."""
 
     @property
     def decides(self) -> bool:

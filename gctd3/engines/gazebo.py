@@ -78,22 +78,30 @@ class Gazebo(OtherEngine):
         self._state = self._answer()
 
     def put(self, angles: np.ndarray, rates: np.ndarray, base: Pose | None) -> None:
-        """Put joints and base where they are asked for."""
+        """Put joints ``[J]`` (rad, m) with their velocities, and a free base, where they are asked for.
+
+        Raises:
+            EngineError: If the program has ended, or does not answer.
+        """
         own = [] if base is None else [base.place, base.turn.ravel(), base.velocity, base.rate]
         self._ask(b"p", np.concatenate([angles, rates, *own]))
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the joints' angles and velocities."""
+        """Return the joints' angles (rad, m) and velocities (rad/s, m/s), each ``[J]``, after the last step."""
         count = len(self.joints)
         return self._state[:count], self._state[count : 2 * count]
 
     def read_base(self) -> Pose:
-        """Return the state of a free base."""
+        """Return the state of a free base after the last step."""
         numbers = self._state[2 * len(self.joints) :]
         return Pose(numbers[:3], numbers[3:12].reshape(3, 3), numbers[12:15], numbers[15:18])
 
     def step(self, torque: np.ndarray) -> None:
-        """Take a step of the physics."""
+        """Take a step of the physics with torques (forces) ``[J]`` at the joints (N m, N).
+
+        Raises:
+            EngineError: If the program has ended, or does not answer.
+        """
         self._ask(b"s", torque)
 
     def touching(self) -> frozenset[str]:

@@ -34,7 +34,11 @@ def check_library() -> None:
 
 
 def library_version() -> str:
-    """Return the version of Gazebo's physics library."""
+    """Return the version of Gazebo's physics library.
+
+    Raises:
+        EngineError: If pkg-config does not know the library; so do :func:`plugin` and :func:`program`.
+    """
     return _ask("--modversion", LIBRARY)
 
 

@@ -12,7 +12,16 @@ from gctd3.tasks.terms import RobotFacts
 
 
 def fitting(where: str, terms: Mapping[str, Any], facts: RobotFacts) -> dict[str, Any]:
-    """Return the terms by name that are not ``None`` and apply to a robot."""
+    """Return the terms by name that are not ``None`` and apply to a robot.
+
+    Args:
+        where: Key of the terms, for messages.
+        terms: Terms by name; ``None`` leaves one out.
+        facts: Facts of the robot.
+
+    Raises:
+        TermError: If a term raises an error of its own.
+    """
     given = {name: term for name, term in terms.items() if term is not None}
     return {n: term for n, term in given.items() if called(f"{where}.{n}", term.applies, facts)}
 

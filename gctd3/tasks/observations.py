@@ -61,7 +61,11 @@ class TaskObservations:
 
     @property
     def shown_command(self) -> Callable[[Array], Array] | None:
-        """Return a function that reads a commanded velocity from observations; ``None`` for a task without one."""
+        """Return a function that reads what is commanded, a velocity or a height; ``None`` for a task without commands.
+
+        It takes observations of the nodes, ``[*, N, F * H]``, of NumPy or PyTorch, and returns the numbers of the
+        command, ``[*, C]``; a subclass says their units.
+        """
         return None
 
     @property
@@ -101,6 +105,9 @@ class TaskObservations:
         Args:
             memory: The memory.
             now: The measurement; a task without privileged features needs none.
+
+        Raises:
+            ValueError: If there are privileged features, and no measurement.
         """
         parts = [
             called(f"task.terminations.{name}", term.clock, memory, self.facts, self.time_limit)

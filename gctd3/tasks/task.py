@@ -61,7 +61,7 @@ class Task(Protocol):
 
     @property
     def shown_command(self) -> Callable[[Array], Array] | None:
-        """Return a function that reads a commanded velocity from observations; ``None`` for a task without one."""
+        """Return a function that reads a commanded velocity or height from observations; ``None`` without commands."""
 
     @property
     def shown_velocity(self) -> Callable[[Array], Array] | None:
