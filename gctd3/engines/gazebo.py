@@ -87,12 +87,12 @@ class Gazebo(OtherEngine):
         self._ask(b"p", np.concatenate([angles, rates, *own]))
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the joints' angles (rad, m) and velocities (rad/s, m/s), each ``[J]``, after the last step."""
+        """Return the joints' angles (rad, m) and velocities (rad/s, m/s), each ``[J]``, as last told."""
         count = len(self.joints)
         return self._state[:count], self._state[count : 2 * count]
 
     def read_base(self) -> Pose:
-        """Return the state of a free base after the last step."""
+        """Return the state of a free base, as the program told it last."""
         numbers = self._state[2 * len(self.joints) :]
         return Pose(numbers[:3], numbers[3:12].reshape(3, 3), numbers[12:15], numbers[15:18])
 
