@@ -197,10 +197,10 @@ class TrainSettings:
                 f"simulated tasks, got {', '.join(name for name in RECORDED if name in self.stop_when.names)}."
             )
         self.exploration.check_robot(task.robot, task.control_dt)
-        if self.exploration.warmup in ("stepping", "swinging") and self.env.backend == "library":
+        if self.exploration.warmup in ("stepping", "swinging", "jumping") and self.env.backend == "library":
             raise ConfigError(
-                f"exploration.warmup must be rhythmic or uniform for {task.name}, got {self.exploration.warmup}: gaits "
-                "are judged by the reward of robots that gctd3 steps itself."
+                f"exploration.warmup must be rhythmic or uniform for {task.name}, got {self.exploration.warmup}: "
+                "motions are judged by the reward of robots that gctd3 steps itself."
             )
         try:
             task.evaluated(self.evaluation.reward)

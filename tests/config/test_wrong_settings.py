@@ -143,6 +143,14 @@ def test_settings_that_do_not_fit_one_another(default):
     )
 
 
+@pytest.mark.parametrize("warmup", ["stepping", "swinging", "jumping"])
+def test_motions_evolve_only_on_robots_that_are_stepped_here(capsys, tmp_path, warmup):
+    asked = ["task=walker2d", f"exploration.warmup={warmup}", f"hydra.run.dir={tmp_path / 'run'}"]
+    assert command("train", *asked) == 2
+    said = f"error: exploration.warmup must be rhythmic or uniform for Walker2d-v5, got {warmup}: motions are judged"
+    assert said in capsys.readouterr().err and not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize("key", ["robot", "task", "env", "reward", "algo", "network", "replay", "evaluation.reward"])
 def test_a_missing_key_is_named(default, key):
     where, _, name = key.rpartition(".")

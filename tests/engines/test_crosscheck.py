@@ -2,6 +2,7 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -10,9 +11,11 @@ from other_engines import engine_of, free_robot, servos_of
 from running import command
 
 from gctd3.deploy.policy import Policy
+from gctd3.engines.crosscheck import CrossCheck
 from gctd3.engines.parting import find_parting
 from gctd3.engines.reference import Reference
 from gctd3.engines.sanity import Bounds
+from gctd3.engines.settings import CrossCheckSettings
 from gctd3.engines.walk import Walk, walk
 from gctd3.runs.evaluate import measure_run
 from gctd3.runs.load import load_run
@@ -43,6 +46,28 @@ def made_up(steps=100, speed=1.0, **changed):
         "fell": False,
     }
     return Walk(**{**kept, **changed})
+
+
+# The verdict.
+
+
+@pytest.mark.parametrize(
+    ("mujocos", "others", "said"),
+    [
+        (1.0, 1.09, None),
+        (1.0, 1.2, "+20%"),
+        (-1.0, -0.8, "+20%"),
+        # A Froude number of 0.01 is 0.22 m/s with legs of 0.5 m: a robot that jumps moves less, and may by 0.022 m/s.
+        (0.01, 0.03, None),
+        (-0.02, 0.02, "+0.04 m/s"),
+        (0.0, 0.3, "+0.30 m/s"),
+    ],
+)
+def test_speeds_are_compared_by_their_ratio_unless_the_robot_stays_where_it_is(mujocos, others, said):
+    task = SimpleNamespace(control_dt=DT, robot=SimpleNamespace(leg_length=LEG, feet=("right", "left")))
+    known, found = (made_up(speed=mujocos),), (made_up(speed=others),)
+    check = CrossCheck(CrossCheckSettings(), task, ("a", "b", "c"), known, found, ((),), 0.0, ())
+    assert check.reasons() == ([] if said is None else [f"Its speed differs from MuJoCo's by {said}."])
 
 
 # Sanity.
