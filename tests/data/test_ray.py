@@ -120,8 +120,11 @@ def test_a_worker_on_ray_acts_with_the_weights_that_it_is_sent(robot):
         actors = list(worker._collector.remote_collectors)
         worker.kill()
         assert len(actors) == 1 and worker._collector.remote_collectors == []
+        # Ray does not wait for the end of what it kills.
         with pytest.raises(ray.exceptions.RayActorError):
-            ray.get(actors[0].__ray_call__.remote(lambda actor: 0))
+            for _ in range(100):
+                ray.get(actors[0].__ray_call__.remote(lambda actor: 0))
+                time.sleep(0.1)
         worker.close()
     finally:
         ray.shutdown()

@@ -126,7 +126,7 @@ def test_shipped_robots_come_back_equal(name, tmp_path):
 
 @pytest.mark.nightly
 def test_robots_that_people_own_come_back_equal(tmp_path):
-    """Every robot of conf/robot whose package is installed; mesh after mesh."""
+    """Every robot of conf/robot that can be had here; mesh after mesh."""
     read, folder = [], Path(str(resources.files("gctd3.conf"))) / "robot"
     with initialize_config_module("gctd3.conf", version_base="1.3"):
         for file in sorted(folder.glob("*.yaml")):
@@ -138,7 +138,8 @@ def test_robots_that_people_own_come_back_equal(tmp_path):
             try:
                 robot = settings.load()
             except RobotError as error:
-                assert "is installed: pip install" in str(error)
+                # Without its package, or without a network.
+                assert "is installed: pip install" in str(error) or "cannot be downloaded" in str(error)
                 continue
             compare(robot, tmp_path / file.stem)
             read.append(file.stem)
