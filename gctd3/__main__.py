@@ -6,7 +6,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-from gctd3.config.help import COMMANDS, HELP, asks_for_help, check_installed, fail, help_of, overview, unread
+from gctd3.config.help import COMMANDS, HELP, asks_for_help, check_installed, fail, help_of, overview, show
 from gctd3.config.terminal import prepare_output
 from gctd3.errors import suggest
 
@@ -16,16 +16,9 @@ def run(command: str) -> None:
     prepare_output()
     check_installed()
     if asks_for_help():
-        _show(help_of(command))
+        show(help_of(command))
         return
     import_module(f"gctd3.{command}").main()
-
-
-def _show(text: str) -> None:
-    try:
-        print(text)
-    except BrokenPipeError:
-        unread()
 
 
 def script() -> None:
@@ -39,7 +32,7 @@ def main() -> None:
     check_installed()
     command = sys.argv[1] if len(sys.argv) > 1 else HELP[0]
     if command in HELP:
-        _show(overview())
+        show(overview())
     elif command in COMMANDS:
         del sys.argv[1]
         run(command)

@@ -408,7 +408,7 @@ def complete_compositions(complete: Callable[[Any], None]) -> None:
 def read_packaged_yamls_once() -> None:
     """Have Hydra parse each YAML of an installed package once a process, and again where it was changed.
 
-    A composition reads some thirty of them, a quarter of its time, and a process may compose often: for each run of a
+    A composition reads some thirty of them, a fifth of its time, and a process may compose often: for each run of a
     sweep, for each environment that it makes. A second call changes nothing.
 
     Private: ``SourcesRegistry`` and ``ImportlibResourcesConfigSource._read_config`` of the package ``hydra._internal``

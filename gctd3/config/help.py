@@ -65,6 +65,14 @@ def unread() -> NoReturn:
     raise SystemExit(UNREAD)
 
 
+def show(text: str) -> None:
+    """Print a text; end the program silently if nobody reads it."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        unread()
+
+
 def check_installed() -> None:
     """End the program if Python cannot find its YAMLs."""
     if find_spec(CONF) is None:
@@ -88,10 +96,7 @@ def helped(root: str) -> bool:
     check_installed()
     if asks_for_help():
         prepare_output()
-        try:
-            print(help_of(command_of(root)), flush=True)
-        except BrokenPipeError:
-            unread()
+        show(help_of(command_of(root)))
     return asks_for_help()
 
 

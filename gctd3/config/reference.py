@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from gctd3.config.fields import TARGET, Setting, describe, find, in_markdown, is_settings, settings_of
-from gctd3.config.help import COMMANDS, choices, conf, root_of, summary, unread, written
+from gctd3.config.help import COMMANDS, choices, conf, root_of, show, summary, written
 from gctd3.config.presets import Preset, groups, presets
 from gctd3.config.terminal import prepare_output
 
@@ -138,7 +138,4 @@ def _sentence(text: str) -> str:
 
 if __name__ == "__main__":
     prepare_output()
-    try:
-        print(reference(), end="")
-    except BrokenPipeError:
-        unread()
+    show(reference().removesuffix("\n"))
