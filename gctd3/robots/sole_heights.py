@@ -7,8 +7,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from array_api_compat import array_namespace
 
+from gctd3.robots.array_library import array_namespace
 from gctd3.robots.geometry import geom_points
 from gctd3.robots.mjcf import colliding_geoms, joint_kind, joint_name
 from gctd3.robots.robot import Robot

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from array_api_compat import array_namespace
-
+from gctd3.robots.array_library import array_namespace
 from gctd3.tasks.measurement import Measurement
 
 if TYPE_CHECKING:

@@ -7,9 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from array_api_compat import array_namespace
-
 from gctd3.errors import ConfigError
+from gctd3.robots.array_library import array_namespace
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.robot import Robot
 from gctd3.robots.settings import RobotSettings

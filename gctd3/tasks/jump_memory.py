@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from array_api_compat import array_namespace
 
+from gctd3.robots.array_library import array_namespace
 from gctd3.tasks.heading import gravity
 from gctd3.tasks.jump_command import HEIGHT
 from gctd3.tasks.measurement import Measurement

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from gctd3.errors import RobotError
+from gctd3.robots.array_library import array_namespace
 from gctd3.robots.mirror_check import check_mirror
 from gctd3.robots.robot import Robot
 from gctd3.tasks.domain_randomisation import NOISE

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from array_api_compat import array_namespace
-
+from gctd3.robots.array_library import array_namespace
 from gctd3.robots.gait_pattern import GRAVITY
 from gctd3.tasks.feature_table import FeatureTable
 from gctd3.tasks.terms import Array

@@ -15,10 +15,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from gctd3.errors import ConfigError
 from gctd3.robots.actuators import torque_limit
+from gctd3.robots.array_library import array_namespace
 from gctd3.robots.gait_pattern import alternating_phases
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.nodes import foot_slots

@@ -8,9 +8,9 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from gctd3.errors import ConfigError
+from gctd3.robots.array_library import array_namespace
 from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.feature_table import FeatureTable
 from gctd3.tasks.heading import AXES

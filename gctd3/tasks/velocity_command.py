@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from gctd3.errors import ConfigError, check_between
+from gctd3.robots.array_library import array_namespace
 from gctd3.tasks.heading import AXES, heading_velocity, yaw_rate
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.memory import COMMAND

@@ -25,7 +25,6 @@ from gctd3.training.confirmation import confirm, described, measure
 from gctd3.training.progress import Counters
 from gctd3.training.run_log import RunLog
 from gctd3.training.settings import TrainSettings
-from gctd3.viz.film import FPS, clip
 
 WARMUP_GAIT = "warmup_gait.json"  # what the warm-up's fittest gait reaches without a policy
 
@@ -85,6 +84,9 @@ class Evaluations:
             self.best = metrics
         self.log.add_row(metrics)
         if settings.video:
+            # Imported late, since most trainings film nothing.
+            from gctd3.viz.film import FPS, clip
+
             self.log.clip(clip(policy, cast(SimulatedTask, self.task), settings.evaluation.seed), FPS, now.frames)
         return metrics
 

@@ -8,9 +8,8 @@ import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from PIL import Image
 from torchrl.record.loggers import Logger, get_logger
 from torchrl.record.loggers.mlflow import MLFlowLogger
 
@@ -18,7 +17,9 @@ from gctd3.errors import ConfigError, RunError
 from gctd3.files import check_regular, quoted, write_text
 from gctd3.training.checkpoint import FOLDER
 from gctd3.training.stop_when import COLUMNS
-from gctd3.viz.film import gif, write_animation
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 PROGRESS, VIDEOS, CLIP_NAME = "progress.csv", "videos", "evaluation/walk"
 PROJECT = "gctd3"  # name of wandb's project and mlflow's experiment
@@ -68,6 +69,9 @@ class RunLog:
 
     def clip(self, frames: Sequence[Image.Image], fps: float, step: int) -> None:
         """Save a film of the policy evaluated at ``step``, and log it if the logger takes films."""
+        # Imported late, since most trainings film nothing.
+        from gctd3.viz.film import gif, write_animation
+
         path = self.directory / VIDEOS / f"{step:012d}.mp4"
         path.parent.mkdir(exist_ok=True)
         write_animation(path, iter(frames), fps)

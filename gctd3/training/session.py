@@ -95,9 +95,10 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
     from gctd3.training.post_mortem import POST_MORTEM
     from gctd3.training.run_log import refuse_a_run
     from gctd3.training.trainer import Trainer
-    from gctd3.viz.film import check_film
 
     if settings.video:
+        from gctd3.viz.film import check_film
+
         check_film()
     walks = "film" in setup.task.abilities
     trainer: Trainer | None = None

@@ -223,6 +223,7 @@ def test_gymnasium_knows_the_robot_whichever_is_imported_first(order):
             ["gctd3.bridge.simulator_node", "gctd3.bridge.both"],
             ("torch", "torchrl", "tensordict", "dm_control", "gymnasium"),
         ),
+        (["gctd3.training.session", "gctd3.training.trainer"], ("PIL", "matplotlib")),
         (["gctd3.deploy.policy"], ("torch", "torchrl", "hydra", "dm_control", "mujoco", "safetensors")),
         (
             ["gctd3.evaluation.gait_metrics", "gctd3.evaluation.effort"],
