@@ -16,7 +16,7 @@ import robot_tables
 import task_tables
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted((ROOT / "docs").glob("*.md"))
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 TABLES: dict[str, Callable[[], Iterable[str]]] = {
     **task_tables.TABLES,
     **robot_tables.TABLES,

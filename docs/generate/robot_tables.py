@@ -31,18 +31,21 @@ def owned_robots() -> Iterator[str]:
 PICTURES = Path(__file__).parents[1] / "robots"
 
 
+def _trainings() -> dict[str, list[dict[str, Any]]]:
+    """Return the trainings of each robot that people own."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row in load("robots_train")["rows"]:
+        found.setdefault(row["robot"], []).append(row)
+    return found
+
+
 def trained_robots() -> Iterator[str]:
     """List the trainings of robots that people own, a row a robot: medians over its seeds, and their range."""
-    found = load("robots_train")["rows"]
     rows = []
-    for robot in dict.fromkeys(row["robot"] for row in found):
-        trained = [row for row in found if row["robot"] == robot]
+    for robot, trained in _trainings().items():
         done = [row for row in trained if "failed" not in row]
-        full = [row for row in done if row["finishes"] == row["episodes"]]
-        source = (
-            f"{done[0]['package']} {done[0]['version']}, {done[0]['licence'] or 'no licence stated'}" if done else ""
-        )
-        cells = [f"`{robot}`", f"{len(full)} of {len(trained)}"]
+        source = _source(done[0]) if done else ""
+        cells = [f"`{robot}`", _arriving(trained)]
         cells += [_middle(done, "seconds", "{:.0f}"), _middle(done, "frames", "{:,.0f}")]
         cells += [_middle(done, "speed_m_s", "{:.2f}"), _middle(done, "stride_hz", "{:.1f}")]
         cells += [_middle(done, "periodic_share", "{:.0%}"), _middle(done, "slip_m_s", "{:.2f}")]
@@ -62,10 +65,36 @@ def trained_robots() -> Iterator[str]:
 
 def robot_pictures() -> Iterator[str]:
     """Show a strip of frames of each robot that was drawn."""
-    found = dict.fromkeys(row["robot"] for row in load("robots_train")["rows"])
-    drawn = [robot for robot in found if (PICTURES / f"{robot}.png").is_file()]
-    rows = [(f"`{robot}`", f"![{robot} walking](robots/{robot}.png)") for robot in drawn]
+    rows = [(f"`{robot}`", _picture(robot, "robots")) for robot in _trainings() if _picture(robot, "robots")]
     yield from table(("`robot=`", "a frame every 0.1 s, at 7 m"), rows)
+
+
+def shown_robots() -> Iterator[str]:
+    """Show each robot that was trained, for the front page: its picture, whether and how soon it walks, its file."""
+    rows = []
+    for robot, trained in _trainings().items():
+        done = [row for row in trained if "failed" not in row]
+        if not done:
+            continue
+        cells = [f"`{robot}`", _picture(robot, "docs/robots"), _arriving(trained)]
+        cells += [_middle(done, "seconds", "{:.0f}"), _middle(done, "speed_m_s", "{:.2f}"), _source(done[0])]
+        rows.append(cells)
+    yield from table(("`robot=`", "", "seeds with 50 of 50", "seconds", "m/s", "file, licence"), rows)
+
+
+def _picture(robot: str, folder: str) -> str:
+    drawn = (PICTURES / f"{robot}.png").is_file()
+    return f"![{robot} walking]({folder}/{robot}.png)" if drawn else ""
+
+
+def _arriving(trained: list[dict[str, Any]]) -> str:
+    """Tell with how many seeds every episode reached the finish."""
+    full = [row for row in trained if "failed" not in row and row["finishes"] == row["episodes"]]
+    return f"{len(full)} of {len(trained)}"
+
+
+def _source(row: dict[str, Any]) -> str:
+    return f"{row['package']} {row['version']}, {row['licence'] or 'no licence stated'}"
 
 
 def _middle(rows: list[dict[str, Any]], key: str, form: str) -> str:
@@ -77,4 +106,9 @@ def _middle(rows: list[dict[str, Any]], key: str, form: str) -> str:
     return middle if low == high else f"{middle} ({low} to {high})"
 
 
-TABLES = {"owned-robots": owned_robots, "trained-robots": trained_robots, "robot-pictures": robot_pictures}
+TABLES = {
+    "owned-robots": owned_robots,
+    "trained-robots": trained_robots,
+    "robot-pictures": robot_pictures,
+    "shown-robots": shown_robots,
+}

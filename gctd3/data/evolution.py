@@ -46,6 +46,7 @@ class Evolution(MotionSearch):
     GENES: ClassVar[Mapping[str, tuple[float, float, bool]]] = {}
     CYCLIC: tuple[str, ...] = ("phase",)
     REMEMBERED: ClassVar[tuple[str, ...]] = ("fitness",)  # what robots know of the gait that they remember
+    LEARNT: ClassVar[tuple[str, ...]] = ()  # what all trials together have shown
     MUTATION = 0.08  # standard deviation, of a gene's range
     RIVALS = 8  # robots of whom the fittest one is the parent
     FALL = 1.0  # by which a fall lowers the fitness: about what a brisk walk is worth (reward of a control step)
@@ -164,6 +165,11 @@ class Evolution(MotionSearch):
         for name in (*self.REMEMBERED, *(f"best_{name}" for name in self.genes)):
             values = getattr(self, name)
             values.copy_(values[chosen].clone())
+
+    def inherit(self, other: MotionSearch) -> None:
+        """Let each robot remember the gait, and its fitness, that it remembered in another search."""
+        for name in (*self.REMEMBERED, *(f"best_{name}" for name in self.genes), *self.LEARNT):
+            getattr(self, name).copy_(getattr(other, name))
 
     def _let_all_follow(self) -> None:
         """Let all robots remember the fittest gait, and nothing else."""

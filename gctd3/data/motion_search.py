@@ -87,6 +87,9 @@ class MotionSearch(torch.nn.Module, ABC):
         """Return whether robots had best begin anew before the next step."""
         return False
 
+    def inherit(self, other: MotionSearch) -> None:
+        """Begin with what another search of the same kind has come to; a kind that cannot begins from nothing."""
+
     @abstractmethod
     def fittest_action(self, phase: Tensor, shown: Shown = NOTHING) -> Tensor:
         """Return the actions of the fittest motion after states of the given phases.

@@ -107,7 +107,11 @@ class GaitImitation:
             return False
         # A policy that meets the conditions only sometimes counts as none in a row.
         fails = settings.stop_when.evaluations is not None and in_a_row == 0
-        return fails and restarts < settings.imitation.retries
+        return fails and restarts < settings.imitation.extensions + settings.imitation.retries
+
+    def goes_on(self, restarts: int) -> bool:
+        """Return whether the warm-up goes on from the gaits that it has, after so many that failed."""
+        return restarts < self.settings.imitation.extensions
 
     def state_dict(self) -> dict[str, Any]:
         """Return what robots that followed a gait observed and did, and the policy of another run."""

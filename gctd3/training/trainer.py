@@ -213,17 +213,21 @@ class Trainer:
         self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
         line.evaluated(self.evaluations.figures(row, now.diverged))
         if not self._spent and self.gait_imitation.failed(self.algorithm, now.in_a_row, now.restarts):
-            self._begin_again(line, "the policy that begins as the warm-up's fittest gait misses the conditions.")
+            why = "the policy that begins as the warm-up's fittest gait misses the conditions."
+            self._begin_again(line, why, self.gait_imitation.goes_on(now.restarts))
         elif settings.stop_when.all_reached(row):
             now.promising = now.frames
         elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
             self._begin_again(line, f"no evaluation in {now.frames - now.promising:,} met all conditions.")
 
-    def _begin_again(self, line: ProgressLine, why: str) -> None:
-        """Begin again with new weights, an empty replay and a warm-up; keep the best policy and, inline, the robots."""
-        now = self.counters
-        line.write(f"After {now.frames:,} frames: {why} It begins again with new weights; the best policy is kept.")
+    def _begin_again(self, line: ProgressLine, why: str, evolving_on: bool = False) -> None:
+        """Begin again with new weights, an empty replay and a warm-up, of the last one's gaits if they evolve on."""
+        now, before = self.counters, self.explorer
+        how = "Its gaits evolve on" if evolving_on else "It begins again"
+        line.write(f"After {now.frames:,} frames: {why} {how} with new weights; the best policy is kept.")
         self.algorithm, self.explorer = self._new_learner()
+        if evolving_on:
+            self.explorer.inherit(before)
         self._begin_from_a_run()
         self.collector.follow(self.explorer)
         self.replay.clear()

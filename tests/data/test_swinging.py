@@ -114,3 +114,25 @@ def test_followers_try_the_fittest_gait(robot, monkeypatch):
     gaits(nobody, returned)
     gaits.fitness.copy_(torch.tensor([0.1, 0.8, 0.0, 0.8, 0.0, 0.8, 0.0, 0.8]))
     assert gaits.followers.tolist() == [False, True] * 4
+
+
+def test_a_search_goes_on_from_the_gaits_of_another(robot):
+    """Each robot's gait and its fitness, and nothing of the progress; what it tries next descends from them."""
+    first, second = (swinging(robot, robots=64, mutation_share=1.0, steps=40) for _ in range(2))
+    begins, returned = torch.ones(64, dtype=torch.bool), torch.zeros(64)
+    for step in range(35):
+        first(begins if step == 0 else ~begins, returned)
+        returned = returned + torch.rand(64)
+    assert first.final and first.tried
+    second.inherit(first)
+    assert not second.final and int(second.taken) == 0
+    torch.testing.assert_close(second.fitness, first.fitness)
+    second(begins, torch.zeros(64))
+    finalists = first.best_amplitude
+    for name, (low, high, _) in second.GENES.items():
+        torch.testing.assert_close(getattr(second, f"best_{name}"), getattr(first, f"best_{name}"))
+        if name != "amplitude":
+            continue
+        # Eight standard deviations of a mutation.
+        nearest = (second.amplitude[:, None] - finalists[None]).abs().amax(dim=-1).amin(dim=1)
+        assert (nearest < 8 * second.MUTATION * (high - low)).all()

@@ -14,6 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import gctd3
 from gctd3.config.build import build
+from gctd3.data.swinging import Swinging
 from gctd3.training.checkpoint import Checkpoints
 from gctd3.training.saved_configuration import load_settings
 from gctd3.training.settings import TrainSettings
@@ -199,6 +200,34 @@ def test_another_gait_is_looked_for_when_the_policy_that_is_one_fails(tmp_path, 
     said = capsys.readouterr().out
     assert said.count("fittest gait misses the conditions. It begins again") == 1
     assert said.count("The policy begins as the warm-up's fittest gait") == 2
+
+
+def test_gaits_evolve_on_before_others_are_looked_for(tmp_path, capsys, monkeypatch):
+    """Once each, as asked: the second warm-up begins with the gaits of the first, the third with none."""
+    inherited = []
+
+    def inherit(self, other):
+        whole(self, other)
+        assert self is not other and not self.final
+        inherited.append([x.clone() for x in (self.fitness, other.fitness, self.best_amplitude, other.best_amplitude)])
+
+    whole = Swinging.inherit
+    monkeypatch.setattr(Swinging, "inherit", inherit)
+    never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=null", "total_frames=320"]
+    run = train(tmp_path / "run", *IMITATING, *never, "imitation.extensions=1")
+    assert [(row["frames"], row["restarts"]) for row in rows(run)] == [
+        ("80", "0"),
+        ("160", "1"),
+        ("240", "2"),
+        ("320", "2"),
+    ]
+    said = capsys.readouterr().out
+    assert said.count("misses the conditions. Its gaits evolve on with new weights") == 1
+    assert said.index("Its gaits evolve on") < said.index("It begins again")
+    ((fitness, of_other, genes, others),) = inherited
+    assert fitness.isfinite().any()
+    torch.testing.assert_close(fitness, of_other)
+    torch.testing.assert_close(genes, others)
 
 
 def test_the_gait_is_shown_from_the_start_of_episodes(tmp_path):
