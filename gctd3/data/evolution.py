@@ -37,7 +37,9 @@ class Evolution(MotionSearch):
     cycles: Tensor
     start: Tensor
     lived: Tensor
+    span: Tensor
     again: Tensor
+    heirs: Tensor
     finalist: Tensor
     walked: Tensor
     place: Tensor
@@ -47,6 +49,8 @@ class Evolution(MotionSearch):
     CYCLIC: tuple[str, ...] = ("phase",)
     REMEMBERED: ClassVar[tuple[str, ...]] = ("fitness",)  # what robots know of the gait that they remember
     LEARNT: ClassVar[tuple[str, ...]] = ()  # what all trials together have shown
+    LONGER = 2  # times as long as others, the trials of a search that goes on from another
+    DEARER = 3  # times as dear, a fall in it: one in eight trials is one in most episodes
     MUTATION = 0.08  # standard deviation, of a gene's range
     RIVALS = 8  # robots of whom the fittest one is the parent
     FALL = 1.0  # by which a fall lowers the fitness: about what a brisk walk is worth (reward of a control step)
@@ -69,7 +73,8 @@ class Evolution(MotionSearch):
         super().__init__(num_robots, trials, unit)
         self.genes = {**(genes or {}), **self.GENES}
         self.groups, self._trials = groups, trials
-        self._steps = max(round(trials.duration / trials.control_dt), 1)
+        # Control steps of a trial.
+        self.register_buffer("span", torch.tensor(max(round(trials.duration / trials.control_dt), 1)))
         self._showing = max(1, round(self.SHOWN * (trials.steps or 0) / self.STARTS))
         self._fixed = dict(fixed or {})
         for name, values in self._draw(num_robots).items():
@@ -80,6 +85,8 @@ class Evolution(MotionSearch):
         self.register_buffer("start", torch.zeros(num_robots))
         self.register_buffer("lived", torch.zeros(num_robots, dtype=torch.int64))
         self.register_buffer("again", torch.zeros(num_robots, dtype=torch.bool))
+        # Robots that begin with a gait of another search.
+        self.register_buffer("heirs", torch.zeros(num_robots, dtype=torch.bool))
         self.register_buffer("finalist", torch.full((num_robots,), -1, dtype=torch.int64))
         if trials.least_speed is not None:
             self.register_buffer("walked", torch.zeros(num_robots))
@@ -97,6 +104,11 @@ class Evolution(MotionSearch):
         Returns:
             Actions, ``[B, A]``.
         """
+
+    @property
+    def _steps(self) -> int:
+        """Return the control steps of a trial."""
+        return int(self.span)
 
     def _draw(self, count: int) -> dict[str, Tensor]:
         drawn = {}
@@ -125,7 +137,8 @@ class Evolution(MotionSearch):
         fell = begins & (self.lived < self._limit)
         # A trial that the time limit cuts short says nothing.
         tried = ended & (self.age > 0) & (fell | (self.age >= self._steps))
-        result = (self.last - self.start) / self._steps - self.FALL * fell
+        fall = self.FALL * (self.DEARER if self.heirs.any() else 1)
+        result = (self.last - self.start) / self._steps - fall * fell
         if self._trials.least_speed is not None:
             # A robot that falls has not walked for the rest of the trial.
             speed = self.walked / (self._steps * self._dt)
@@ -135,10 +148,12 @@ class Evolution(MotionSearch):
         share = 1.0 if self.final else self.AGAIN
         repeats = (torch.rand(len(ended)) < share) & self.fitness.isfinite()
         self.again.copy_(torch.where(ended, repeats, self.again))
+        # A gait from another search is tried before a new one.
+        remembered = repeats | (self.heirs & ~self.fitness.isfinite())
         for name, (_, _, paired) in self.genes.items():
             best, now = getattr(self, f"best_{name}"), getattr(self, name)
             best.copy_(torch.where(fitter[:, None] if paired else fitter, now, best))
-            next_one = torch.where(repeats[:, None] if paired else repeats, best, children[name])
+            next_one = torch.where(remembered[:, None] if paired else remembered, best, children[name])
             now.copy_(torch.where(ended[:, None] if paired else ended, next_one, now))
 
     def _judge(self, tried: Tensor, result: Tensor) -> Tensor:
@@ -167,9 +182,14 @@ class Evolution(MotionSearch):
             values.copy_(values[chosen].clone())
 
     def inherit(self, other: MotionSearch) -> None:
-        """Let each robot remember the gait, and its fitness, that it remembered in another search."""
-        for name in (*self.REMEMBERED, *(f"best_{name}" for name in self.genes), *self.LEARNT):
+        """Let each robot begin with the gait that it remembered in another search, and try all gaits for longer.
+
+        How fit it was is forgotten: what falls after a short trial has not fallen in it.
+        """
+        for name in (*(f"best_{name}" for name in self.genes), *self.LEARNT):
             getattr(self, name).copy_(getattr(other, name))
+        self.heirs.fill_(True)
+        self.span.mul_(self.LONGER)
 
     def _let_all_follow(self) -> None:
         """Let all robots remember the fittest gait, and nothing else."""

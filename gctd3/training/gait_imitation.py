@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, cast
 
@@ -94,24 +95,32 @@ class GaitImitation:
         elif sample is not None:
             algorithm.imitation = Imitation(settings, _demonstrated, sample)
 
-    def failed(self, algorithm: Algorithm, in_a_row: int, restarts: int) -> bool:
-        """Return whether a gait that the actor has not learnt on from failed, and another one is to be looked for.
+    def failed(self, algorithm: Algorithm, in_a_row: int) -> bool:
+        """Return whether a policy that still is the gait, since the actor has not learnt on, misses the conditions.
 
         Args:
             algorithm: The algorithm.
             in_a_row: Evaluations in a row that met all conditions.
-            restarts: Gaits that failed before.
         """
-        settings, imitation = self.settings, algorithm.imitation
+        imitation = algorithm.imitation
         if imitation is None or self._initial is not None or not imitation.critics_alone(algorithm.updates):
             return False
         # A policy that meets the conditions only sometimes counts as none in a row.
-        fails = settings.stop_when.evaluations is not None and in_a_row == 0
-        return fails and restarts < settings.imitation.extensions + settings.imitation.retries
+        return self.settings.stop_when.evaluations is not None and in_a_row == 0
 
-    def goes_on(self, restarts: int) -> bool:
-        """Return whether the warm-up goes on from the gaits that it has, after so many that failed."""
-        return restarts < self.settings.imitation.extensions
+    def evolves_on(self, row: Mapping[str, float], restarts: int) -> bool:
+        """Return whether the warm-up goes on after a gait that failed: some of its episodes have not succeeded.
+
+        Args:
+            row: Its evaluation.
+            restarts: Gaits that failed before.
+        """
+        return restarts < self.settings.imitation.extensions and row.get("success_rate", 0.0) < 1.0
+
+    def gives_up(self, restarts: int) -> bool:
+        """Return whether another gait is looked for after so many that failed."""
+        settings = self.settings.imitation
+        return settings.extensions <= restarts < settings.extensions + settings.retries
 
     def state_dict(self) -> dict[str, Any]:
         """Return what robots that followed a gait observed and did, and the policy of another run."""

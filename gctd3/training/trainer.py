@@ -46,6 +46,7 @@ from gctd3.training.rng_state import load_random_state, random_state, seed_all
 from gctd3.training.run_log import RunLog
 from gctd3.training.settings import TrainSettings
 
+FAILS = "the policy that begins as the warm-up's fittest gait misses the conditions."
 MOST_TIME = 0.03  # share of the wall-clock that checkpoints may take
 
 
@@ -212,9 +213,11 @@ class Trainer:
         row = self._evaluate()
         self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
         line.evaluated(self.evaluations.figures(row, now.diverged))
-        if not self._spent and self.gait_imitation.failed(self.algorithm, now.in_a_row, now.restarts):
-            why = "the policy that begins as the warm-up's fittest gait misses the conditions."
-            self._begin_again(line, why, self.gait_imitation.goes_on(now.restarts))
+        fails = not self._spent and self.gait_imitation.failed(self.algorithm, now.in_a_row)
+        if fails and self.gait_imitation.evolves_on(row, now.restarts):
+            self._begin_again(line, FAILS, evolving_on=True)
+        elif fails and self.gait_imitation.gives_up(now.restarts):
+            self._begin_again(line, FAILS)
         elif settings.stop_when.all_reached(row):
             now.promising = now.frames
         elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
