@@ -54,20 +54,21 @@ def _or_none(value: float | None, form: str) -> str:
 def other_robots() -> Iterator[str]:
     """List the trainings of robots other than the biped."""
     rows = []
-    for robot in ("biped_planar", "quadruped", "hexapod"):
+    for robot in ("biped_planar", "quadruped", "hexapod", "op3"):
         for seed in load(f"walk_{robot}")["seeds"]:
             evaluation = seed["evaluation"]
             frames = f"{seed['curve'][-1]['frames']:,.0f}"
-            speed = f"{evaluation['velocity_mean']:.2f}"
-            rows.append((f"`{robot}`", seed["seed"], frames, f"{seed['minutes']:.1f}", _reached(evaluation), speed))
+            moved = f"{evaluation['distance_mean']:.1f}", f"{evaluation['velocity_mean']:.2f}"
+            rows.append((f"`{robot}`", seed["seed"], frames, f"{seed['minutes']:.1f}", _reached(evaluation), *moved))
     for row in load("robots_train")["rows"]:
         start = f"`{row['robot']}`", row["seed"]
         if "failed" in row:
-            rows.append((*start, "-", f"{row['seconds'] / 60:.1f}", "-", row["failed"]))
+            rows.append((*start, "-", f"{row['seconds'] / 60:.1f}", "-", "-", row["failed"]))
             continue
         reached = f"{row['finishes']}/{row['episodes']}"
-        rows.append((*start, f"{row['frames']:,}", f"{row['seconds'] / 60:.1f}", reached, f"{row['speed_m_s']:.2f}"))
-    yield from table(("`robot=`", "seed", "frames", "minutes", "reached 15 m", "velocity m/s"), rows)
+        moved = f"{row['distance_m']:.1f}", f"{row['speed_m_s']:.2f}"
+        rows.append((*start, f"{row['frames']:,}", f"{row['seconds'] / 60:.1f}", reached, *moved))
+    yield from table(("`robot=`", "seed", "frames", "minutes", "reached 15 m", "distance m", "velocity m/s"), rows)
 
 
 def time_to_gait() -> Iterator[str]:

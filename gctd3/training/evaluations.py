@@ -117,6 +117,10 @@ class Evaluations:
         tqdm.write(f"The fittest gait of the warm-up: {figures(metrics)}.")
         write_text(self.checkpoints.run / WARMUP_GAIT, json.dumps(metrics, indent=1) + "\n")
 
+    def forget_gait(self) -> None:
+        """Forget what the fittest gait reached: another warm-up follows."""
+        (self.checkpoints.run / WARMUP_GAIT).unlink(missing_ok=True)
+
     def check_best(self, follows: bool) -> None:
         """Let the next policy count as the best one if the files of the best one so far are gone or damaged.
 

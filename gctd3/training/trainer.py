@@ -235,6 +235,7 @@ class Trainer:
         self.collector.follow(self.explorer)
         self.replay.clear()
         self.gait_imitation.demonstration.clear()
+        self.evaluations.forget_gait()
         now.restarts, now.promising = now.restarts + 1, now.frames
         now.next_evaluation = now.frames + self._first_evaluation
 

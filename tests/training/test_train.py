@@ -224,6 +224,8 @@ def test_gaits_evolve_on_before_others_are_looked_for(tmp_path, capsys, monkeypa
     said = capsys.readouterr().out
     assert said.count("misses the conditions. Its gaits evolve on with new weights") == 1
     assert said.index("Its gaits evolve on") < said.index("It begins again")
+    # Each warm-up's fittest gait is evaluated, and the file is the last one's.
+    assert said.count("The fittest gait of the warm-up: ") == 3
     ((genes, others),) = inherited
     torch.testing.assert_close(genes, others)
 
