@@ -139,11 +139,6 @@ class Explorer(TensorDictModuleBase):
         shown = task.shown_command, task.shown_velocity, task.time_limit, task.posture, task.levels
         return cls(actor, task.robot, num_robots, settings, task.control_dt, part, task.gait, *shown)
 
-    def inherit(self, other: Explorer) -> None:
-        """Let the warm-up go on from the gaits of another explorer's."""
-        if isinstance(self.rhythm, MotionSearch) and isinstance(other.rhythm, MotionSearch):
-            self.rhythm.inherit(other.rhythm)
-
     @property
     def warming_up(self) -> bool:
         """Return whether the warm-up is still going on: the policy has not acted yet."""

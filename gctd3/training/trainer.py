@@ -26,6 +26,7 @@ from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
 from gctd3.data.inline_collector import InlineCollector
 from gctd3.data.mirror_augmentation import MirrorAugmentation
+from gctd3.data.motion_search import MotionSearch
 from gctd3.data.replay import Replay
 from gctd3.envs.factory import EnvRecipe
 from gctd3.errors import NumericalError, TrainingError, WorkerError
@@ -215,7 +216,7 @@ class Trainer:
         line.evaluated(self.evaluations.figures(row, now.diverged))
         fails = not self._spent and self.gait_imitation.failed(self.algorithm, now.in_a_row)
         if fails and self.gait_imitation.evolves_on(row, now.restarts):
-            self._begin_again(line, FAILS, evolving_on=True)
+            self._begin_again(line, FAILS, self.gait_imitation.best_gaits(self.explorer, row))
         elif fails and self.gait_imitation.gives_up(now.restarts):
             self._begin_again(line, FAILS)
         elif settings.stop_when.all_reached(row):
@@ -223,14 +224,13 @@ class Trainer:
         elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
             self._begin_again(line, f"no evaluation in {now.frames - now.promising:,} met all conditions.")
 
-    def _begin_again(self, line: ProgressLine, why: str, evolving_on: bool = False) -> None:
-        """Begin again with new weights, an empty replay and a warm-up, of the last one's gaits if they evolve on."""
-        now, before = self.counters, self.explorer
-        how = "Its gaits evolve on" if evolving_on else "It begins again"
+    def _begin_again(self, line: ProgressLine, why: str, gaits: MotionSearch | None = None) -> None:
+        """Begin again with new weights, an empty replay and a warm-up, which may go on from gaits of another one."""
+        now, how = self.counters, "It begins again" if gaits is None else "Its gaits evolve on"
         line.write(f"After {now.frames:,} frames: {why} {how} with new weights; the best policy is kept.")
         self.algorithm, self.explorer = self._new_learner()
-        if evolving_on:
-            self.explorer.inherit(before)
+        if gaits is not None and isinstance(self.explorer.rhythm, MotionSearch):
+            self.explorer.rhythm.inherit(gaits)
         self._begin_from_a_run()
         self.collector.follow(self.explorer)
         self.replay.clear()
@@ -296,7 +296,7 @@ class Trainer:
         self.log.restore(state["rows"], self.counters.frames)
         self.algorithm.load_state_dict(state["algorithm"])
         self.explorer.load_state_dict(state["explorer"])
-        self.gait_imitation.load_state_dict(state.get("demonstration"), self.algorithm)
+        self.gait_imitation.load_state_dict(state.get("demonstration"), self.algorithm, self.explorer)
         if self.algorithm.updates:
             self.gait_imitation.follow(self.algorithm, self.explorer)
         self.collector.load_state_dict(state["collector"])
