@@ -54,7 +54,7 @@ def _or_none(value: float | None, form: str) -> str:
 def other_robots() -> Iterator[str]:
     """List the trainings of robots other than the biped."""
     rows = []
-    for robot in ("biped_planar", "quadruped", "hexapod"):
+    for robot in ("biped_planar", "quadruped", "hexapod", "op3"):
         for seed in load(f"walk_{robot}")["seeds"]:
             evaluation = seed["evaluation"]
             frames = f"{seed['curve'][-1]['frames']:,.0f}"
