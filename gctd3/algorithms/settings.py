@@ -29,8 +29,8 @@ class ImitationSettings:
         extensions: Times that the warm-up goes on, from the gaits that it has come to and with longer trials, when a
             policy that still is the gait misses conditions that would end the training, and not all of its episodes
             succeed: gaits evolve on sooner than learning mends one that falls.
-        retries: Times, after these, that the training begins again with a new warm-up, when such a policy misses those
-            conditions: another gait is found sooner than learning mends one.
+        retries: Times, after all these, that the training begins again with a new warm-up, when such a policy misses
+            those conditions: another gait is found sooner than learning mends one.
         critics_first: Updates of the critics that follow before the actor learns on.
         weight: Factor of the mean squared difference from the gait's actions in the actor's loss, in the unit of that
             loss (TD3+BC, arXiv:2106.06860, has 0.4 for data).

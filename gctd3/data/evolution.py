@@ -50,9 +50,7 @@ class Evolution(MotionSearch):
     REMEMBERED: ClassVar[tuple[str, ...]] = ("fitness",)  # what robots know of the gait that they remember
     LEARNT: ClassVar[tuple[str, ...]] = ()  # what all trials together have shown
     LONGER = 2  # times as long as others, the trials of a search that goes on from another
-    # Times as dear, a fall in it: who falls in one of ten trials of 4 s loses a third of an episode of 30 s. With three
-    # times some robots stepped on the spot.
-    DEARER = 2
+    DEARER = 2  # times as dear, a fall in it: one in ten trials of 4 s costs a third of an episode of 30 s
     MUTATION = 0.08  # standard deviation, of a gene's range
     RIVALS = 8  # robots of whom the fittest one is the parent
     FALL = 1.0  # by which a fall lowers the fitness: about what a brisk walk is worth (reward of a control step)

@@ -7,8 +7,8 @@ from typing import Any
 import array_api_compat
 import numpy as np
 
-# From 2.1 on NumPy has all names of the standard itself. The compatible namespace of it is the same functions, and
-# imports all of NumPy's packages, such as f2py and testing: a twentieth of the time to the first step.
+# From 2.1 on NumPy has the standard's names itself. Its compatible namespace imports all of NumPy's packages, such as
+# f2py and testing, which no training needs.
 _STANDARD = hasattr(np, "astype")
 
 

@@ -232,7 +232,7 @@ def test_gaits_evolve_on_before_others_are_looked_for(tmp_path, capsys, monkeypa
 
 
 def test_gaits_evolve_on_from_the_best_warm_up_so_far(tmp_path, monkeypatch):
-    """Of three warm-ups the second scores best; what a checkpoint holds of it is whole."""
+    """The second of three scores best, and a checkpoint holds the whole of it."""
     scores, asked = iter([1.0, 2.0, 1.5]), []
     monkeypatch.setattr(StopWhen, "score", lambda self, row: 0.0)
     best_gaits = GaitImitation.best_gaits
