@@ -94,7 +94,7 @@ class Explorer(TensorDictModuleBase):
             self._judged_by = ["position"]
         self._command = command if stepping or jumping else None
         self._velocity = velocity if self._command is not None and stepping else None
-        self._posture = posture if stepping and settings.answers(robot) else None
+        self._posture = posture if stepping and settings.answers else None
         seen = [*self._judged_by, *(["counters"] if self._velocity is not None else [])]
         self.in_keys = [*actor.in_keys, "is_init", *seen]
         if self._posture is not None and "nodes" not in self.in_keys:
@@ -105,7 +105,7 @@ class Explorer(TensorDictModuleBase):
         settings.check_robot(robot, control_dt)
         self.rhythm: Rhythm | MotionSearch | None = None
         steps, share = settings.learning_starts // num_robots, settings.mutation_share
-        trials = Trials(settings.trial(robot), control_dt, share, steps, limit, settings.least_speed)
+        trials = Trials(settings.trial, control_dt, share, steps, limit, settings.least_speed)
         if settings.warmup == "rhythmic":
             self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, share)
         elif settings.warmup == "swinging":

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from gctd3.robots.robot import Robot
 
 MOST_WORKERS = 10_000
-MOST_BALANCING = 2  # feet of a robot that stands on one foot while it steps with the other
 GAIT_TIMES = (2.0, 4.0)  # s, without and with reflexes
 
 
@@ -38,8 +37,7 @@ class ExplorationSettings:
             reflexes, since a gait that loses its balance may take so long to fall.
         least_speed: Speed below which a gait of warmup=swinging or stepping counts as less fit, however much the reward
             pays for it (m/s); ``None`` for the reward alone.
-        reflexes: Whether the feet of warmup=stepping answer to the body's posture (:func:`.reflexes`); ``None`` for
-            those of robots with two feet, which have to balance.
+        reflexes: Whether the feet of warmup=stepping answer to the body's posture (:func:`.reflexes`).
         noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions (half a joint's
             range), spread geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for
             a policy that is random by itself.
@@ -54,7 +52,7 @@ class ExplorationSettings:
     mutation_share: float = 0.0
     gait_time: float | None = None
     least_speed: float | None = None
-    reflexes: bool | None = None
+    reflexes: bool = True
     noise: Sequence[float] | None = (0.05, 0.5)
     noise_time: float = 0.0
 
@@ -77,17 +75,15 @@ class ExplorationSettings:
         if self.noise_time < 0:
             raise ConfigError(f"noise_time must be at least 0 s, got {self.noise_time}.")
 
-    def answers(self, robot: Robot) -> bool:
-        """Return whether feet that step answer to the body's posture."""
-        if self.warmup != "stepping":
-            return False
-        return len(robot.feet) <= MOST_BALANCING if self.reflexes is None else self.reflexes
+    @property
+    def answers(self) -> bool:
+        """Return whether feet step that answer to the body's posture."""
+        return self.warmup == "stepping" and self.reflexes
 
-    def trial(self, robot: Robot) -> float:
+    @property
+    def trial(self) -> float:
         """Return the time for which an evolving gait is tried (s)."""
-        if self.gait_time is not None:
-            return self.gait_time
-        return GAIT_TIMES[self.answers(robot)]
+        return GAIT_TIMES[self.answers] if self.gait_time is None else self.gait_time
 
     def check_robot(self, robot: Robot, control_dt: float) -> None:
         """Raise a :class:`.ConfigError` if a robot cannot be moved like this.

@@ -15,7 +15,6 @@ from tqdm import tqdm
 from gctd3.data.gait_policy import fittest_gait
 from gctd3.data.motion_search import MotionSearch
 from gctd3.errors import RunError
-from gctd3.evaluation.rollout import evaluate
 from gctd3.files import write_text
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.tasks.task import Task
@@ -113,7 +112,7 @@ class Evaluations:
         gait = fittest_gait(rhythm, cast(SimulatedTask, self.task))
         if gait is None:
             return
-        metrics = evaluate(gait, self.env, self.task, self.settings.evaluation.seed).summary()
+        metrics = measure(gait, self.env, self.task, self.settings, self.settings.evaluation.seed)
         tqdm.write(f"The fittest gait of the warm-up: {figures(metrics)}.")
         write_text(self.checkpoints.run / WARMUP_GAIT, json.dumps(metrics, indent=1) + "\n")
 

@@ -54,19 +54,21 @@ class GaitImitation:
         """Take the policy as it is now, that of another run, as what the actor is held to."""
         self._initial = algorithm.policy() if self._asked else None
 
-    def shown_gait(self, explorer: Explorer) -> MotionSearch | None:
-        """Return the gaits of the warm-up, while it lasts, if a policy is to learn the fittest one from robots.
-
-        That is a policy without a clock, or one that jumps.
-        """
+    def searched(self, explorer: Explorer) -> MotionSearch | None:
+        """Return the gaits of the warm-up, while it lasts, if the actor is to begin as the fittest one."""
         gait = explorer.rhythm
-        asked = self._asked and self._initial is None and (self.task.gait is None or isinstance(gait, Jumping))
-        return gait if asked and isinstance(gait, MotionSearch) and explorer.warming_up else None
+        asked = self._asked and self._initial is None and explorer.warming_up
+        return gait if asked and isinstance(gait, MotionSearch) else None
 
     def demonstrates(self, explorer: Explorer) -> bool:
-        """Return whether robots follow the fittest gait from the next step on, for a policy to learn it from them."""
-        gait = self.shown_gait(explorer)
-        return gait is not None and (gait.shows or gait.decides)
+        """Return whether robots follow the fittest gait from the next step on, for a policy to learn it from them.
+
+        So does a policy without a clock, or one that jumps.
+        """
+        gait = self.searched(explorer)
+        if gait is None or not (self.task.gait is None or isinstance(gait, Jumping)):
+            return False
+        return gait.shows or gait.decides
 
     def begin(self, algorithm: Algorithm, explorer: Explorer) -> float | None:
         """Let the actor act as the fittest gait of the warm-up, unless it began as the policy of another run.

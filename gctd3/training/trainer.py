@@ -186,7 +186,7 @@ class Trainer:
         check_collected(collected)
         if demonstrates:
             self.gait_imitation.demonstration.add(collected)
-        gait = self.gait_imitation.shown_gait(self.explorer)
+        gait = self.gait_imitation.searched(self.explorer)
         if gait is not None and gait.anew and isinstance(self.collector, InlineCollector):
             self.collector.begin_anew(collected)
         self.replay.extend(collected)

@@ -1,4 +1,4 @@
-"""The fittest gait as a policy: by the clock and the command that are observed."""
+"""The fittest gait as a policy: by the clock, the command and the posture that are observed."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ ROBOTS = 4
 
 
 def test_it_acts_by_what_is_observed():
-    """Whatever the time: the action at the phase and under the command that the observations show, a step later."""
+    """Whatever the time: the action at the phase, command and posture that the observations show, a step later."""
     settings = VelocitySettings(features={**velocity_features(), "clock": GaitClock(frequency=2.0)}, history=2)
     task = settings.build(RobotSettings("quadruped", action_scale=0.5))
     torch.manual_seed(0)
@@ -32,7 +32,7 @@ def test_it_acts_by_what_is_observed():
     assert fittest_gait(gait, task) is None
     nothing, command = torch.zeros(ROBOTS, dtype=torch.bool), torch.tensor([[0.5, 0.1, -0.3]]).expand(ROBOTS, 3)
     for step in range(4):
-        gait(nothing, 0.1 * step * torch.rand(ROBOTS), shown=Shown(command))
+        gait(nothing, 0.1 * step * torch.rand(ROBOTS), shown=Shown(command, torch.zeros(ROBOTS, 6)))
     policy = fittest_gait(gait, task)
     assert isinstance(policy, ByClock)
 
@@ -42,7 +42,12 @@ def test_it_acts_by_what_is_observed():
     memory = {**simulation.memory, VELOCITY: command.numpy().astype(float), PHASES: np.tile(phases, (ROBOTS, 1))}
     nodes = torch.from_numpy(task.node_features(simulation.now, memory))
     seen = TensorDict({"nodes": torch.cat([torch.zeros_like(nodes), nodes], dim=-1)}, [ROBOTS])
-    expected = gait.act(gait._fittest(ROBOTS), torch.full((ROBOTS,), 0.3 + 0.02 * 2.0), Shown(command)).clamp(-1.0, 1.0)
+    posture, phase = task.posture(seen["nodes"]), torch.full((ROBOTS,), 0.3 + 0.02 * 2.0)
+    expected = gait.act(gait._fittest(ROBOTS), phase, Shown(command, posture)).clamp(-1.0, 1.0)
     torch.testing.assert_close(policy(seen)["action"], expected, rtol=1e-4, atol=1e-4)
+    # A body that tilts is answered.
+    level = gait.act(gait._fittest(ROBOTS), phase, Shown(command, posture.nan_to_num() * 0.0)).clamp(-1.0, 1.0)
+    tilted = gait.act(gait._fittest(ROBOTS), phase, Shown(command, 0.2 + posture.nan_to_num() * 0.0)).clamp(-1.0, 1.0)
+    assert not torch.allclose(level, tilted, atol=1e-3)
     # Without a clock the phase is not known.
     assert fittest_gait(gait, replace(settings, features=velocity_features()).build(RobotSettings("quadruped"))) is None

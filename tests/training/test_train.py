@@ -272,6 +272,16 @@ def test_the_gait_is_shown_from_the_start_of_episodes(tmp_path):
     assert (frames == frames[..., :1, :]).all() and (frames[:, 0, 0, 1] == 0).all()
 
 
+def test_the_last_gaits_are_tried_from_the_start_of_episodes_if_a_policy_is_to_begin_as_one(tmp_path):
+    """Of 20 steps the last round begins after 14; a policy with a clock needs no more starts than that one."""
+    clock = "+task.features.clock={_target_:gctd3.GaitClock}"
+    stored = [*IMITATING[1:], "exploration.warmup=stepping", clock, "total_frames=80", "replay.storage=stacked"]
+    for updates, expected in (2, True), (0, False):
+        train(tmp_path / str(updates), *stored, "replay.n_step=1", f"imitation.updates={updates}")
+        cut = Recorded.last.replay.buffer.torchrl[:].reshape(20, 4)["next", "truncated"]
+        assert [step for step in range(20) if cut[step].all()] == ([13] if expected else [])
+
+
 @pytest.mark.parametrize("off", ["stop_when.evaluations=null", "imitation.updates=0", "imitation.critics_first=0"])
 def test_no_other_gait_is_looked_for(tmp_path, off):
     """Where nothing ends the training, without imitation, and once the actor has learnt on."""
