@@ -87,6 +87,22 @@ def time_to_gait() -> Iterator[str]:
     yield from table(("", "seeds that walk", "median, minutes", "longest"), (row for _, row in sorted(rows)))
 
 
+def robot_peers() -> Iterator[str]:
+    """Compare the minutes until a real robot arrives and walks, by contender and robots at once."""
+    rows = []
+    for name, one in load("robot_peers")["summary"].items():
+        times: list[str] = []
+        for key in ("arrival", "walk"):
+            bound = "> " if "median" in one[key]["bounds"] else ""
+            times += [f"{bound}{one[key]['median']:.1f}", one[f"{key}_ratio"].replace(">", "> ")]
+        # Of a robot that does not get far the gait is not known.
+        known = [each for each in one["missed"] if not each.endswith("undefined")]
+        lacking = "never evaluated" if one["at"] is None else ", ".join(known) or "nothing"
+        rows.append((*name.split(" x"), *times, lacking))
+    heads = ("", "robots", "arrives, minutes", "times ours", "walks, minutes", "times ours", "lacks at its best")
+    yield from table(heads, rows)
+
+
 def yardsticks() -> Iterator[str]:
     """Compare returns after the last step with those of Stable-Baselines3."""
     data, rows, tasks = load("yardsticks"), [], {"halfcheetah": "HalfCheetah-v5", "walker2d": "Walker2d-v5"}
@@ -151,6 +167,7 @@ TABLES = {
     "table5-best": lambda: walks("table5_best", "table5_best_more"),
     "other-robots": other_robots,
     "time-to-gait": time_to_gait,
+    "robot-peers": robot_peers,
     "yardsticks": yardsticks,
     "crosscheck": crosscheck,
     "provenance": provenance,

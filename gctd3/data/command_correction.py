@@ -1,6 +1,8 @@
-"""What to ask of an open-loop gait so that the robot moves as commanded: measured, and corrected in rounds."""
+"""What to ask of a gait so that the robot moves as commanded: measured, and corrected in rounds."""
 
 from __future__ import annotations
+
+from itertools import combinations_with_replacement
 
 import torch
 from torch import Tensor
@@ -9,11 +11,11 @@ from torch import Tensor
 class CommandCorrection(torch.nn.Module):
     """Correct the commands that a gait is given by how the robot moved under them.
 
-    Feet slide, legs yield, and a body that goes backward and to the side at once also turns. So the error of the
-    velocity is fitted to the command and its products of two, by least squares over all robots, and taken off what the
-    gait is asked for. After several rounds little is left: iterative learning control (Arimoto et al. 1984). The
-    ``k``-th round takes off ``1 / k`` of what it found, so that the noise of the rounds averages out. A command
-    to stand is left alone.
+    Feet slide, legs yield, a body that goes backward and to the side at once also turns, and one that goes fast turns
+    less. So the error of the velocity is fitted to the command and its products of two and three, by least squares over
+    all robots, and taken off what the gait is asked for. After several rounds little is left: iterative learning
+    control (Arimoto et al. 1984). The ``k``-th round takes off ``1 / k`` of what it found, so that the noise of the
+    rounds averages out. A command to stand is left alone.
     """
 
     correction: Tensor
@@ -21,14 +23,15 @@ class CommandCorrection(torch.nn.Module):
     errors: Tensor
     rounds: Tensor
 
-    TERMS = 9
+    # Axes of the factors of each term.
+    TERMS = tuple(axes for degree in (1, 2, 3) for axes in combinations_with_replacement(range(3), degree))
     RIDGE = 0.01  # of the fit, in mean squares of each term
 
     def __init__(self) -> None:
         super().__init__()
-        self.register_buffer("correction", torch.zeros(self.TERMS, 3))
-        self.register_buffer("moments", torch.zeros(self.TERMS, self.TERMS))
-        self.register_buffer("errors", torch.zeros(self.TERMS, 3))
+        self.register_buffer("correction", torch.zeros(len(self.TERMS), 3))
+        self.register_buffer("moments", torch.zeros(len(self.TERMS), len(self.TERMS)))
+        self.register_buffer("errors", torch.zeros(len(self.TERMS), 3))
         self.register_buffer("rounds", torch.zeros((), dtype=torch.int64))
 
     def forward(self, command: Tensor) -> Tensor:
@@ -53,9 +56,7 @@ class CommandCorrection(torch.nn.Module):
         self.moments.zero_()
         self.errors.zero_()
 
-    @staticmethod
-    def _terms(command: Tensor) -> Tensor:
-        """Return each command and its products of two, ``[*, 9]``."""
-        forward, side, turn = command.unbind(dim=-1)
-        products = (forward * forward, side * side, turn * turn, forward * side, forward * turn, side * turn)
-        return torch.stack([forward, side, turn, *products], dim=-1)
+    @classmethod
+    def _terms(cls, command: Tensor) -> Tensor:
+        """Return each command and its products of two and three, ``[*, 19]``."""
+        return torch.stack([command[..., list(axes)].prod(dim=-1) for axes in cls.TERMS], dim=-1)

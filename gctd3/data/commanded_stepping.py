@@ -1,4 +1,4 @@
-"""Open-loop gaits that follow a commanded velocity: feet go as the ground does below a body that moves as commanded."""
+"""Gaits that follow a commanded velocity: feet go as the ground does below a body that moves as commanded."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gctd3.robots.robot import Robot
 
 
 class CommandedStepping(Stepping):
-    """Generate open-loop gaits as :class:`.Stepping` does, whose steps go by the commanded velocity.
+    """Generate gaits as :class:`.Stepping` does, whose steps go by the commanded velocity.
 
     Below a body that goes forward at ``v_x`` and to the left at ``v_y``, and turns at ``w``, the ground at a foot at
     ``(x, y)`` from the middle of the feet moves at ``-(v_x - w y, v_y + w x)``. A foot that is down for the share

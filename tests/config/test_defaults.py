@@ -428,3 +428,15 @@ def test_a_robots_yaml_begins_from_another_by_its_place(tmp_path, monkeypatch, c
     assert "begins from another one by its place, as in '- /robot/biped@robot'" in capsys.readouterr().err
     # What a command completes without a class of its own is no mistake.
     assert command("export", "robot=quadruped", "out=quadruped.sdf", "--cfg", "job") == 0
+
+
+@pytest.mark.parametrize("terrain", ["rough", "stairs", "boxes", "gaps", "mixed"])
+def test_a_training_on_terrain_ends_when_nearly_all_of_it_is_crossed(terrain):
+    """What the ground changes of steps, their periods and heights, is not asked for."""
+    settings = build(composed("robot=quadruped", f"terrain={terrain}"))
+    crossed = {"success_rate": 0.95, "velocity_mean": 0.5, "stride_hz": 1.5, "flight_fraction": 0.1}
+    crossed |= {"torque_saturation": 2.0}
+    assert settings.stop_when.all_reached(crossed)
+    assert not settings.stop_when.all_reached(crossed | {"success_rate": 0.925})
+    assert settings.stop_when.ends_after(1) and settings.stop_when.confirm == 100
+    assert settings.evaluation.episodes == 40
