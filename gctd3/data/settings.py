@@ -37,7 +37,8 @@ class ExplorationSettings:
             reflexes, since a gait that loses its balance may take so long to fall.
         least_speed: Speed below which a gait of warmup=swinging or stepping counts as less fit, however much the reward
             pays for it (m/s); ``None`` for the reward alone.
-        reflexes: Whether the feet of warmup=stepping answer to the body's posture (:func:`.reflexes`).
+        reflexes: Whether the feet of warmup=stepping answer to the body's posture (:func:`.reflexes`); ``None``, which
+            earlier versions saved with their runs, counts as true.
         noise: Smallest and largest standard deviation of the Gaussian noise on the policy's actions (half a joint's
             range), spread geometrically over the robots (as Ape-X spreads its epsilons, arXiv:1803.00933); ``None`` for
             a policy that is random by itself.
@@ -52,7 +53,7 @@ class ExplorationSettings:
     mutation_share: float = 0.0
     gait_time: float | None = None
     least_speed: float | None = None
-    reflexes: bool = True
+    reflexes: bool | None = True
     noise: Sequence[float] | None = (0.05, 0.5)
     noise_time: float = 0.0
 
@@ -78,7 +79,7 @@ class ExplorationSettings:
     @property
     def answers(self) -> bool:
         """Return whether feet step that answer to the body's posture."""
-        return self.warmup == "stepping" and self.reflexes
+        return self.warmup == "stepping" and self.reflexes is not False
 
     @property
     def trial(self) -> float:

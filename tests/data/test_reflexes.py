@@ -192,6 +192,7 @@ def test_gaits_with_reflexes_are_tried_for_longer():
     assert (settings.answers, settings.trial) == (True, 4.0)
     without = ExplorationSettings(warmup="stepping", reflexes=False)
     assert (without.answers, without.trial) == (False, 2.0)
+    assert ExplorationSettings(warmup="stepping", reflexes=None).answers
     # Only feet that step have them.
     assert not ExplorationSettings(warmup="swinging").answers
     assert ExplorationSettings(warmup="stepping", gait_time=1.0).trial == 1.0
