@@ -432,7 +432,7 @@ def test_a_robots_yaml_begins_from_another_by_its_place(tmp_path, monkeypatch, c
 
 @pytest.mark.parametrize("terrain", ["rough", "stairs", "boxes", "gaps", "mixed"])
 def test_a_training_on_terrain_ends_when_nearly_all_of_it_is_crossed(terrain):
-    """What the ground changes of steps, their periods and heights, is not asked for."""
+    """Ask for no more than that: the ground changes the periods and heights of steps."""
     settings = build(composed("robot=quadruped", f"terrain={terrain}"))
     crossed = {"success_rate": 0.95, "velocity_mean": 0.5, "stride_hz": 1.5, "flight_fraction": 0.1}
     crossed |= {"torque_saturation": 2.0}

@@ -273,7 +273,7 @@ def test_the_gait_is_shown_from_the_start_of_episodes(tmp_path):
 
 
 def test_the_last_gaits_are_tried_from_the_start_of_episodes_if_a_policy_is_to_begin_as_one(tmp_path):
-    """Of 20 steps the last round begins after 14; a policy with a clock needs no more starts than that one."""
+    """Begin anew once, after 14 of 20 steps, where the last round begins: with a clock no more starts are needed."""
     clock = "+task.features.clock={_target_:gctd3.GaitClock}"
     stored = [*IMITATING[1:], "exploration.warmup=stepping", clock, "total_frames=80", "replay.storage=stacked"]
     for updates, expected in (2, True), (0, False):
