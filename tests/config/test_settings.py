@@ -160,6 +160,31 @@ def test_a_policy_that_walks_ends_the_training_unless_it_never_ends():
     assert (never.evaluations, never.confirm, never.restart_after) == (None, 0, None)
 
 
+@pytest.mark.parametrize(
+    "brings",
+    [
+        *(f"robot={file.stem}" for file in sorted((CONF / "robot").glob("*.yaml")) if not file.stem.startswith("free")),
+        *(f"robot=quadruped terrain={file.stem}" for file in sorted((CONF / "terrain").glob("*.yaml"))),
+        *(f"robot=quadruped task={task}" for task in ("velocity", "jump")),
+    ],
+)
+def test_never_is_never_whatever_the_robot_its_task_and_the_ground_bring(brings):
+    def rule(*more):
+        stop_when = build(composed(*brings.split(), *more)).stop_when
+        return stop_when.evaluations, stop_when.confirm, stop_when.restart_after
+
+    assert rule()[0] is not None
+    assert rule("stop_when=never") == (None, 0, None)
+    assert rule("stop_when=never", "stop_when.evaluations=3") == (3, 0, None)
+
+
+@pytest.mark.parametrize("experiment", ["table5", "history", "graphs"])
+def test_trainings_of_any_robot_are_equally_long_in_comparisons(experiment):
+    settings = build(composed(f"experiment={experiment}", "robot=quadruped", "terrain=rough"))
+    assert settings.stop_when.evaluations is None and settings.stop_when.restart_after is None
+    assert settings.total_frames == 400_000
+
+
 @pytest.mark.parametrize("task", ["walker_walk", "walker2d", "halfcheetah", "ant"])
 def test_a_librarys_task_brings_what_goes_with_it(task):
     settings = build(composed(f"task={task}"))
