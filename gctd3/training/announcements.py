@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,10 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
 from gctd3.config.build import again
-from gctd3.config.help import written
+from gctd3.config.fields import TARGET
+from gctd3.config.help import conf, written
+from gctd3.config.options import chooses, ships
+from gctd3.config.presets import read
 from gctd3.files import quoted
 from gctd3.training.saved_configuration import CONFIG, flat
 
@@ -21,11 +24,19 @@ ERRORS = {"forward": "m/s", "side": "m/s", "turn": "rad/s"}  # units of the erro
 FOLLOWED = 0.9  # share of commands from which on a policy counts as one that follows them
 SURE = 1.0  # success rate from which on a policy counts as one that walks
 _OWN = ("resume", "robot.source")  # keys that a run sets itself, or that say only where it is
+_FEW = 3  # keys that an option was chosen for in vain
 _MORE = 24  # lines; what differs in more keys than this was chosen as a whole
 
 
-def opening(config: DictConfig, task: str, run: Path) -> str:
-    """Describe a training that begins: its robot and length, what differs from the defaults, and where it writes."""
+def opening(config: DictConfig, task: str, run: Path, arguments: Sequence[str] = ()) -> str:
+    """Describe a training that begins: its robot and length, what differs from the defaults, and where it writes.
+
+    Args:
+        config: Its configuration.
+        task: Name of its task.
+        run: Directory of the run.
+        arguments: Its command line, of which is said what does not hold.
+    """
     lines = [
         f"{config.robot.name} on {task}: up to {config.total_frames:,} frames of {config.env.num_envs} robots, "
         f"seed {config.seed}"
@@ -35,6 +46,7 @@ def opening(config: DictConfig, task: str, run: Path) -> str:
         lines += ["Differs from the defaults:", *(f"  {line}" for line in different[:_MORE])]
     if len(different) > _MORE:
         lines.append(f"  and {len(different) - _MORE} more")
+    lines += overruled(config, arguments)
     lines += [f"All settings: {quoted(run / CONFIG)}", f"Run directory: {quoted(run)}"]
     return "\n".join(lines)
 
@@ -47,6 +59,44 @@ def differences(config: DictConfig) -> Iterator[str]:
             continue
         before = f"  (default {_text(defaults[key])})" if key in defaults else ""
         yield f"{key}={_text(value)}{before}"
+
+
+def overruled(config: DictConfig, arguments: Sequence[str]) -> Iterator[str]:
+    """List the options that a command line chooses and of which keys have other values in the configuration.
+
+    What robot, task, ground, recipe and experiment bring comes after them, and only keys of the command line are last.
+    """
+    for argument in arguments:
+        group, option = chooses(argument), argument.partition("=")[2]
+        if group is None or not ships(argument):
+            continue
+        file = conf() / group / f"{option}.yaml"
+        if read(file).everywhere:
+            # Robots, tasks and recipes say what others may change.
+            continue
+        others = dict(_others(_plain(OmegaConf.load(file)), _plain(config[group]), group))
+        asked = [text.lstrip("+~").partition("=")[0] for text in arguments]
+        named = [f"{key}={_text(value)}" for key, value in others.items() if key not in asked]
+        if named:
+            more = f" and {len(named) - _FEW} more" if len(named) > _FEW else ""
+            yield f"{argument} holds but for what robot, task or recipe bring: {', '.join(named[:_FEW])}{more}"
+
+
+def _plain(config: object) -> Mapping[Any, Any]:
+    """Return a configuration as a mapping, not resolved: what refers to another key holds while it refers to it."""
+    plain = OmegaConf.to_container(config) if OmegaConf.is_config(config) else None
+    return plain if isinstance(plain, dict) else {}
+
+
+def _others(said: Mapping[Any, Any], now: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Any]]:
+    """Yield the keys of a mapping, and their present values, that have another value now than it says."""
+    for key, value in said.items():
+        if key not in now or (key == TARGET and "." not in place):
+            continue
+        if isinstance(value, Mapping) and isinstance(now[key], Mapping):
+            yield from _others(value, now[key], f"{place}.{key}")
+        elif now[key] != value:
+            yield f"{place}.{key}", now[key]
 
 
 @functools.cache

@@ -122,7 +122,7 @@ def _train(config: DictConfig, stop: StopRequest) -> dict[str, float] | None:
         if not (resumed and has_robot(run)):
             keep_robot(setup.robot, run)
         save_config(run, config, overrides)
-        begins = [opening(config, setup.task.name, run)]
+        begins = [opening(config, setup.task.name, run, overrides)]
         begins += [str(setup.mirror_check)] if settings.replay.mirror else []
         begins += [differs] if differs is not None else []
         begins += ["", f"{setup.robot.origin}\n"] if setup.robot.origin else [""]

@@ -117,6 +117,13 @@ def test_a_policy_of_the_biped_may_begin_as_a_gait():
     assert imitation.updates > 0 and imitation.retries > 0
 
 
+@pytest.mark.parametrize("task", ["walk", "velocity", "jump"])
+@pytest.mark.parametrize("robot", ["biped", "biped_planar", "quadruped", "go2", "op3"])
+def test_a_policy_that_is_random_by_itself_gets_no_noise(robot, task):
+    lines = [(f"robot={robot}", f"task={task}", f"algo={algo}") for algo in ("sac", "gctd3")]
+    assert [build(composed(*line)).exploration.noise is None for line in lines] == [True, False]
+
+
 @pytest.mark.parametrize("experiment", ["table5", "graphs", "history"])
 def test_comparisons_keep_the_recipe_that_their_results_were_made_with(experiment):
     assert recipe_of(f"experiment={experiment}") == BEFORE

@@ -6,8 +6,9 @@ import pytest
 from hydra import compose, initialize_config_module
 from running import command, tiny
 
+from gctd3.config.options import options
 from gctd3.files import quoted
-from gctd3.training.announcements import closing, differences, duration, opening
+from gctd3.training.announcements import closing, differences, duration, opening, overruled
 
 RUN = Path("runs/my run")
 BEST = {
@@ -45,6 +46,35 @@ def test_what_differs_is_named_with_its_default(config):
     said = opening(asked, "walk", RUN)
     assert said.splitlines()[0] == "biped on walk: up to 600,000 frames of 64 robots, seed 3"
     assert f"Run directory: {quoted(RUN)}" in said and str(RUN / ".hydra" / "config.yaml") in said
+
+
+@pytest.mark.parametrize(
+    "line, named",
+    [
+        ("exploration=uniform", ["exploration=uniform holds but for", ": exploration.warmup=swinging"]),
+        ("robot=go2 exploration=uniform", ["exploration=uniform holds but for", ": exploration.warmup=stepping"]),
+        ("robot=go2 reward=paper", ["reward=paper holds but for", "reward.terms.progress=null", " more"]),
+        ("robot=go2 stop_when=walk", ["stop_when.at_least.return_mean=null"]),
+        # What holds, what the command line itself changes, and what others are meant to change.
+        ("robot=go2 stop_when=never exploration=rhythmic", []),
+        ("recipe=none exploration=uniform", []),
+        ("exploration=uniform exploration.warmup=stepping", []),
+        ("robot=go2 task=velocity terrain=rough", []),
+    ],
+)
+def test_an_option_that_robot_or_recipe_change_is_named(config, line, named):
+    arguments = line.split()
+    said = list(overruled(config(*arguments), arguments))
+    assert len(said) == bool(named)
+    assert all(words in said[0] for words in named)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("group", ["algo", "exploration", "network", "replay", "reward", "stop_when"])
+def test_every_option_holds_where_nothing_else_is_brought(config, group):
+    for option in options(group):
+        arguments = [f"{group}={option}", "recipe=none"]
+        assert list(overruled(config(*arguments), arguments)) == []
 
 
 def test_a_wholly_different_task_does_not_fill_the_screen(config, monkeypatch):
