@@ -16,7 +16,7 @@ after ``cap`` minutes, counted from the start of its process, imports and compil
 over our whole command; who does not get there counts as longer than the cap.
 
 It goes on where it stopped: each training that is over is a file in ``runs``. ``again=failed`` or ``again=all`` makes
-those anew. Nothing else should run on the machine.
+those anew, and ``again=none`` makes none and compares those that are over. Nothing else should run on the machine.
 """
 
 from __future__ import annotations
@@ -145,8 +145,8 @@ def plan(given: dict[str, str], own_robots: int) -> tuple[list[Cell], list[str]]
     accepted = (BASE, *(name for name in PEERS if name.startswith(("sb3-", "sbx-"))))
     if unknown := [name for name in peers if name not in accepted]:
         raise SystemExit(f"peers knows no {', '.join(unknown)}; there are {', '.join(accepted)}")
-    if given["again"] not in ("", "failed", "all"):
-        raise SystemExit(f"again must be failed, all or nothing, got {given['again']}")
+    if given["again"] not in ("", "none", "failed", "all"):
+        raise SystemExit(f"again must be none, failed, all or nothing, got {given['again']}")
     parallel = [int(text) for text in given["parallel"].split(",")] if given["parallel"] else [1, own_robots]
     if min(parallel) < 1 or float(given["cap"]) <= 0 or float(given["seconds"]) <= 0 or int(given["threads"]) < 1:
         raise SystemExit("parallel and threads must be at least 1, cap and seconds above 0")
@@ -265,6 +265,9 @@ def main() -> None:
     files = {cell: runs / f"{cell.title}.json" for cell in cells}
     over = {cell: run for cell, file in files.items() if (run := known(file, given)) is not None}
     cap, to_do = float(given["cap"]), [cell for cell in cells if cell not in over]
+    if given["again"] == "none":
+        missing += [f"{cell.contender} seed {cell.seed} has not been trained" for cell in to_do]
+        to_do = []
     print(f"{len(to_do)} trainings of at most {cap:g} min, {len(over)} known, {given['jobs']} at a time", flush=True)
     runs.mkdir(parents=True, exist_ok=True)
     stop = threading.Event()

@@ -131,7 +131,7 @@ def test_plan_has_ours_once_and_the_others_on_one_robot_and_on_as_many(bench, mo
         ({"peers": "gctd3,ppo"}, "peers knows no ppo; there are gctd3, sb3-td3, sb3-sac"),
         ({"parallel": "0"}, "parallel and threads must be at least 1"),
         ({"cap": "0"}, "cap and seconds above 0"),
-        ({"again": "yes"}, "again must be failed, all or nothing, got yes"),
+        ({"again": "yes"}, "again must be none, failed, all or nothing, got yes"),
     ],
 )
 def test_wrong_options_are_refused(bench, change, said):
@@ -224,6 +224,13 @@ def test_what_is_over_is_not_trained_again(bench, tmp_path, monkeypatch, capsys)
     assert call() == titles
     assert call() == []
     (tmp_path / "quadruped" / "sb3-td3_1_seed0.json").unlink()
+    assert call("again=none") == []
+    held = json.loads(out.read_text())
+    assert held["not_measured"] == ["sb3-td3 x1 seed 0 has not been trained"]
+    assert list(held["summary"]) == ["gctd3 x64", "sb3-td3 x4"]
+    said = capsys.readouterr().out
+    assert "0 trainings of at most 20 min, 3 known" in said
+    assert "not measured: sb3-td3 x1 seed 0 has not been trained" in said
     assert call() == ["sb3-td3_1_seed0"]
     assert call("again=failed") == titles
     with pytest.raises(SystemExit, match="was made with cap=20: choose another runs=, or the same options"):
@@ -233,7 +240,6 @@ def test_what_is_over_is_not_trained_again(bench, tmp_path, monkeypatch, capsys)
     assert written["summary"]["sb3-td3 x4"]["arrival"]["bounds"] == ["median", "min", "max"]
     assert written["criterion"]["walks"]["evaluations"] >= 1
     assert str(tmp_path) not in out.read_text()
-    assert "0 trainings of at most 20 min, 3 known" in capsys.readouterr().out
 
 
 @pytest.mark.nightly
