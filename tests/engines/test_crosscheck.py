@@ -63,7 +63,9 @@ def made_up(steps=100, speed=1.0, **changed):
         (0.0, 0.3, "+0.30 m/s"),
     ],
 )
-def test_speeds_are_compared_by_their_ratio_unless_the_robot_stays_where_it_is(mujocos, others, said):
+def test_speeds_are_compared_by_their_ratio_unless_the_robot_stays_where_it_is(mujocos, others, said, monkeypatch):
+    # No engine is needed to compare speeds.
+    monkeypatch.setattr("gctd3.engines.settings.find_spec", lambda package: package)
     task = SimpleNamespace(control_dt=DT, robot=SimpleNamespace(leg_length=LEG, feet=("right", "left")))
     known, found = (made_up(speed=mujocos),), (made_up(speed=others),)
     check = CrossCheck(CrossCheckSettings(), task, ("a", "b", "c"), known, found, ((),), 0.0, ())
