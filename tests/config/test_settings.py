@@ -118,7 +118,7 @@ def test_a_policy_of_the_biped_may_begin_as_a_gait():
 
 
 @pytest.mark.parametrize("task", ["walk", "velocity", "jump"])
-@pytest.mark.parametrize("robot", ["biped", "biped_planar", "quadruped", "go2", "op3"])
+@parametrize(5, "robot", ["quadruped", "biped", "biped_planar", "go2", "op3"])
 def test_a_policy_that_is_random_by_itself_gets_no_noise(robot, task):
     lines = [(f"robot={robot}", f"task={task}", f"algo={algo}") for algo in ("sac", "gctd3")]
     assert [build(composed(*line)).exploration.noise is None for line in lines] == [True, False]
@@ -167,7 +167,8 @@ def test_a_policy_that_walks_ends_the_training_unless_it_never_ends():
     assert (never.evaluations, never.confirm, never.restart_after) == (None, 0, None)
 
 
-@pytest.mark.parametrize(
+@parametrize(
+    8,
     "brings",
     [
         *(f"robot={file.stem}" for file in sorted((CONF / "robot").glob("*.yaml")) if not file.stem.startswith("free")),
