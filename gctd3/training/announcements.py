@@ -66,20 +66,29 @@ def overruled(config: DictConfig, arguments: Sequence[str]) -> Iterator[str]:
 
     What robot, task, ground, recipe and experiment bring comes after them, and only keys of the command line are last.
     """
-    for argument in arguments:
-        group, option = chooses(argument), argument.partition("=")[2]
-        if group is None or not ships(argument):
-            continue
-        file = conf() / group / f"{option}.yaml"
+    # The last choice counts: the line of a run that goes on holds earlier ones, too.
+    chosen = {_place(argument): argument for argument in arguments if chooses(argument) and ships(argument)}
+    asked = [_place(argument) for argument in arguments]
+    for place, argument in chosen.items():
+        file = conf() / str(chooses(argument)) / f"{argument.partition('=')[2]}.yaml"
         if read(file).everywhere:
             # Robots, tasks and recipes say what others may change.
             continue
-        others = dict(_others(_plain(OmegaConf.load(file)), _plain(config[group]), group))
-        asked = [text.lstrip("+~").partition("=")[0] for text in arguments]
-        named = [f"{key}={_text(value)}" for key, value in others.items() if key not in asked]
+        others = dict(_others(_plain(OmegaConf.load(file)), _plain(OmegaConf.select(config, place)), place))
+        named = [
+            f"{key}={_text(value)}"
+            for key, value in others.items()
+            if not any(f"{key}.".startswith(f"{one}.") for one in asked if one != place)
+        ]
         if named:
             more = f" and {len(named) - _FEW} more" if len(named) > _FEW else ""
             yield f"{argument} holds but for what robot, task or recipe bring: {', '.join(named[:_FEW])}{more}"
+
+
+def _place(argument: str) -> str:
+    """Return where in the configuration an argument of a command line changes something."""
+    name = argument.lstrip("+~").partition("=")[0]
+    return name.rpartition("@")[2]
 
 
 def _plain(config: object) -> Mapping[Any, Any]:
@@ -88,13 +97,13 @@ def _plain(config: object) -> Mapping[Any, Any]:
     return plain if isinstance(plain, dict) else {}
 
 
-def _others(said: Mapping[Any, Any], now: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Any]]:
+def _others(said: Mapping[Any, Any], now: Mapping[Any, Any], place: str, top: bool = True) -> Iterator[tuple[str, Any]]:
     """Yield the keys of a mapping, and their present values, that have another value now than it says."""
     for key, value in said.items():
-        if key not in now or (key == TARGET and "." not in place):
+        if key not in now or (key == TARGET and top):
             continue
         if isinstance(value, Mapping) and isinstance(now[key], Mapping):
-            yield from _others(value, now[key], f"{place}.{key}")
+            yield from _others(value, now[key], f"{place}.{key}", top=False)
         elif now[key] != value:
             yield f"{place}.{key}", now[key]
 

@@ -60,6 +60,13 @@ def test_what_differs_is_named_with_its_default(config):
         ("recipe=none exploration=uniform", []),
         ("exploration=uniform exploration.warmup=stepping", []),
         ("robot=go2 task=velocity terrain=rough", []),
+        # The place of an option, the last of several, and keys that are given as a whole.
+        ("robot=go2 reward@evaluation.reward=paper", []),
+        ("robot=go2 stop_when=walk stop_when=never", []),
+        (
+            "robot=biped_planar stop_when=walk stop_when.at_least={} stop_when.confirm=1 stop_when.restart_after=9",
+            ["evaluations=2"],
+        ),
     ],
 )
 def test_an_option_that_robot_or_recipe_change_is_named(config, line, named):
