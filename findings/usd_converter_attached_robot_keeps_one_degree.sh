@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Expected: mujoco-usd-converter writes what MuJoCo compiles from the same MJCF. Its known limitations say that <attach>
-#   is baked down as MuJoCo's parser does it, which reads an attached file with that file's own <compiler angle>.
+# Expected: mujoco-usd-converter writes what MuJoCo compiles from the same MJCF. The known limitations in the changelog
+#   of its version 0.1.0a1 say that <attach> is baked down as MuJoCo's parser does it, which reads an attached file with
+#   that file's own <compiler angle>.
 # Instead: the angles of an attached file are read in the unit of the file that attaches it. Go2, whose file is in
 #   radians, gets hips of 1 degree instead of 60 in a scene that says nothing of units (degrees, by default), and bodies
 #   turned by euler angles hardly turn, without a warning. The same robot converted by itself is right. Also, with or
