@@ -15,6 +15,8 @@ from torch import Tensor
 from torch.nn.functional import mse_loss
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from gctd3.algorithms.adam import Adam
+
 if TYPE_CHECKING:
     from gctd3.algorithms.settings import ImitationSettings
 
@@ -51,13 +53,13 @@ class Imitation:
         """
         falls = self.settings.initial_learning_rate is not None
         rate = self.settings.initial_learning_rate or learning_rate
-        optimizer = torch.optim.Adam(actor.parameters(), lr=rate)
+        optimizer = Adam(actor.parameters(), lr=rate)
         difference = torch.zeros(())
         for update in range(self.settings.updates):
             if falls:
                 optimizer.param_groups[0]["lr"] = rate * (1.0 - update / self.settings.updates)
             difference = self.difference(actor, sample())
-            optimizer.zero_grad(set_to_none=True)
+            optimizer.zero_grad()
             difference.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
         return float(difference.detach())

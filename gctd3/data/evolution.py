@@ -10,7 +10,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from gctd3.data.motion_search import MotionSearch
+from gctd3.data.motion_search import MotionSearch, may_be_missing
 from gctd3.data.trials import NOTHING, Shown, Trials
 
 
@@ -18,10 +18,11 @@ class Evolution(MotionSearch):
     """Generate gaits that evolve.
 
     Each robot tries a gait for a while, remembers its best one, and most new gaits are mutations of what a few robots
-    remember. Some trials are of a remembered gait, which then counts by the mean, and in the last round all robots try
-    the fittest few. The fitness of a gait is the mean reward of the training while it is tried, less a penalty if the
-    robot falls: what feet that slide or a body that sags cost a policy, they cost a gait. With a least speed a slower
-    gait is less fit by :attr:`SLOW` for each m/s that its mean speed lacks.
+    remember. Some trials are of a remembered gait, which then counts by the mean. At the end of a round all robots try
+    the fittest few, of which each counts by the mean of these trials. The fitness of a gait is the mean reward of the
+    training while it is tried, less a penalty if the robot falls: what feet that slide or a body that sags cost a
+    policy, they cost a gait. With a least speed a slower gait is less fit by :attr:`SLOW` for each m/s that its mean
+    speed lacks.
 
     Args:
         num_robots: Number of robots.
@@ -41,6 +42,7 @@ class Evolution(MotionSearch):
     again: Tensor
     heirs: Tensor
     finalist: Tensor
+    counted: Tensor
     walked: Tensor
     place: Tensor
 
@@ -75,7 +77,7 @@ class Evolution(MotionSearch):
         self.groups, self._trials = groups, trials
         # Control steps of a trial.
         self.register_buffer("span", torch.tensor(max(round(trials.duration / trials.control_dt), 1)))
-        self._showing = max(1, round(self.SHOWN * (trials.steps or 0) / self.STARTS))
+        self._showing = max(1, round(self.SHOWN * (trials.steps or 0) / trials.rounds / self.STARTS))
         self._fixed = dict(fixed or {})
         for name, values in self._draw(num_robots).items():
             self.register_buffer(name, values)
@@ -88,6 +90,9 @@ class Evolution(MotionSearch):
         # Robots that begin with a gait of another search.
         self.register_buffer("heirs", torch.zeros(num_robots, dtype=torch.bool))
         self.register_buffer("finalist", torch.full((num_robots,), -1, dtype=torch.int64))
+        # Trials of each robot in a last round.
+        self.register_buffer("counted", torch.zeros(num_robots))
+        may_be_missing(self, "counted")
         if trials.least_speed is not None:
             self.register_buffer("walked", torch.zeros(num_robots))
             self.register_buffer("place", torch.zeros(num_robots))
@@ -134,14 +139,19 @@ class Evolution(MotionSearch):
 
     def _end(self, ended: Tensor, begins: Tensor) -> None:
         """Remember the gaits of the trials that have ended if they are fitter, and begin new ones."""
+        complete = self.age >= self._steps
         fell = begins & (self.lived < self._limit)
+        if self._trials.from_standing:
+            # The episode ended because the trial was over.
+            fell &= ~complete
         # A trial that the time limit cuts short says nothing.
-        tried = ended & (self.age > 0) & (fell | (self.age >= self._steps))
+        tried = ended & (self.age > 0) & (fell | complete)
         fall = self.FALL * (self.DEARER if self.heirs.any() else 1)
-        result = (self.last - self.start) / self._steps - fall * fell
+        # What falls earns nothing for the rest of its trial; one that waits for its episode to end is longer.
+        result = (self.last - self.start) / self.age.clamp(min=self._steps) - fall * fell
         if self._trials.least_speed is not None:
             # A robot that falls has not walked for the rest of the trial.
-            speed = self.walked / (self._steps * self._dt)
+            speed = self.walked / (self.age.clamp(min=self._steps) * self._dt)
             result = result - self.SLOW * (self._trials.least_speed - speed).clamp(min=0.0)
         fitter = self._judge(tried, result)
         children = self._children(len(ended))
@@ -163,9 +173,13 @@ class Evolution(MotionSearch):
             tried: Robots whose trial has ended, bool ``[robots]``.
             result: Mean reward of their trial, less penalties, ``[robots]``.
         """
-        # Of a gait that was tried again the mean counts, in which the last trials weigh most.
+        # Of a gait that was tried again the mean counts: the last trials weigh most, but all alike in a last round.
         again = tried & self.again
-        self.fitness.copy_(torch.where(again, 0.5 * (self.fitness + result), self.fitness))
+        share = torch.full_like(result, 0.5)
+        if self.final:
+            self.counted += again
+            share = 1.0 / self.counted.clamp(min=1.0)
+        self.fitness.copy_(torch.where(again, torch.lerp(self.fitness, result, share), self.fitness))
         fitter = tried & ~again & (result > self.fitness)
         self.fitness.copy_(torch.where(fitter, result, self.fitness))
         return fitter
@@ -173,6 +187,7 @@ class Evolution(MotionSearch):
     def _begin_last_round(self) -> None:
         """Let the robots remember the fittest few gaits, in turn, and nothing else."""
         self.final.fill_(True)
+        self.counted.zero_()
         first = self.fitness.argsort(descending=True)[: self.FINALISTS]
         first = first[self.fitness[first].isfinite()]
         chosen = first[torch.arange(len(self.fitness)) % len(first)]
@@ -212,7 +227,8 @@ class Evolution(MotionSearch):
             # Of an episode that has begun anew the last step is not known.
             self.walked += torch.where(is_init, 0.0, position - self.place)
             self.place.copy_(position)
-        ended = is_init | (self.age >= self._steps) | (self.age < 0)
+        over = torch.zeros_like(is_init) if self._trials.from_standing else self.age >= self._steps
+        ended = is_init | over | (self.age < 0)
         begins, decides = self.begins, self.decides
         if begins or decides:
             if begins:
@@ -244,8 +260,9 @@ class Evolution(MotionSearch):
         """Return a robot that remembers the fittest gait."""
         if not self.final:
             return int(self.fitness.argmax())
-        means = [self.fitness[self.finalist == one].mean() for one in self.finalist]
-        return int(torch.stack(means).argmax())
+        tried_by = torch.bincount(self.finalist, minlength=len(self.finalist))
+        sums = torch.zeros_like(self.fitness).index_add_(0, self.finalist, self.fitness)
+        return int((sums / tried_by)[self.finalist].argmax())
 
     @property
     def begins(self) -> bool:
@@ -258,12 +275,14 @@ class Evolution(MotionSearch):
         return bool(self.final) and int(self.taken) >= self._shown and not bool(self.followers.all())
 
     @property
-    def anew(self) -> bool:
-        """Return whether robots had best begin anew before the next step: for the last gaits starts count, too."""
-        if self.begins or self.decides:
-            return True
+    def anew(self) -> Tensor | None:
+        """Return which robots had best begin a new episode before the next step: of the last gaits starts count too."""
         since = int(self.taken) - self._shown
-        return bool(self.SHOWN and self.shows and since > 0 and since % self._showing == 0)
+        showing = self.SHOWN and self.shows and since > 0 and since % self._showing == 0
+        if self.begins or self.decides or showing:
+            return torch.ones_like(self.again)
+        over = self.age >= self._steps
+        return over if self._trials.from_standing and bool(over.any()) else None
 
     @property
     def shows(self) -> bool:

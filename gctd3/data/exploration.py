@@ -13,7 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.data.commanded_stepping import CommandedStepping
 from gctd3.data.jumping import Jumping
-from gctd3.data.motion_search import MotionSearch
+from gctd3.data.motion_search import MotionSearch, may_be_missing
 from gctd3.data.rhythm import Rhythm
 from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
@@ -53,6 +53,7 @@ class Explorer(TensorDictModuleBase):
     """
 
     frames: Tensor
+    warmup: Tensor
     sigma: Tensor
     held: Tensor
     memory: Tensor
@@ -85,6 +86,11 @@ class Explorer(TensorDictModuleBase):
         if levels is not None and not jumping:
             # Feet that step follow neither a height nor the clock of a jump.
             command, gait = None, None
+        if settings.rounds > 1 and command is not None and stepping:
+            raise ConfigError(
+                f"exploration.rounds must be 1 for gaits that follow a command, got {settings.rounds}: their "
+                "correction comes at the end."
+            )
         # What tells how good a gait is, if gaits evolve.
         self._judged_by: list[str] = []
         if settings.warmup in ("stepping", "swinging", "jumping"):
@@ -105,7 +111,8 @@ class Explorer(TensorDictModuleBase):
         settings.check_robot(robot, control_dt)
         self.rhythm: Rhythm | MotionSearch | None = None
         steps, share = settings.learning_starts // num_robots, settings.mutation_share
-        trials = Trials(settings.trial, control_dt, share, steps, limit, settings.least_speed)
+        rounds, least = settings.rounds, settings.least_speed
+        trials = Trials(settings.trial, control_dt, share, steps, limit, least, rounds, settings.from_standing)
         if settings.warmup == "rhythmic":
             self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, share)
         elif settings.warmup == "swinging":
@@ -116,6 +123,9 @@ class Explorer(TensorDictModuleBase):
         elif jumping and gait is not None:
             self.rhythm = Jumping(robot, robots, levels or (), gait.frequency, trials)
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
+        # Frames of the warm-up.
+        self.register_buffer("warmup", torch.tensor(settings.learning_starts))
+        may_be_missing(self, "warmup")
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
         spread = torch.logspace(math.log10(low), math.log10(high), num_robots)
@@ -142,7 +152,21 @@ class Explorer(TensorDictModuleBase):
     @property
     def warming_up(self) -> bool:
         """Return whether the warm-up is still going on: the policy has not acted yet."""
-        return int(self.frames) < self.settings.learning_starts
+        return int(self.frames) < int(self.warmup)
+
+    @property
+    def round_over(self) -> bool:
+        """Return whether a round of the warm-up is over, and another one may follow."""
+        return self.warming_up and isinstance(self.rhythm, MotionSearch) and self.rhythm.round_over
+
+    @property
+    def anew(self) -> Tensor | None:
+        """Return which robots had best begin a new episode before the next step of the warm-up, bool ``[robots]``."""
+        return self.rhythm.anew if self.warming_up and isinstance(self.rhythm, MotionSearch) else None
+
+    def end_warmup(self) -> None:
+        """Let the policy act from the next step on."""
+        self.warmup.copy_(self.frames)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the next action of every robot."""

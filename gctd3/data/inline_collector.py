@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 from torchrl.envs import EnvBase
 
 from gctd3.data.finite import check_finite
@@ -53,15 +54,16 @@ class InlineCollector:
         """Continue with another policy, from the robots' current states."""
         self.policy = policy
 
-    def begin_anew(self, collected: TensorDictBase) -> None:
-        """Let all robots begin a new episode; the last steps of those that were going on count as truncated.
+    def begin_anew(self, collected: TensorDictBase, robots: Tensor) -> None:
+        """Let robots begin a new episode; the last steps of those that were going on count as truncated.
 
         Args:
             collected: The batch of the last steps, batch size ``[N, T]``, which changes.
+            robots: The robots, bool ``[N]``.
         """
         for key in ("truncated", "done"):
-            collected["next", key][:, -1] = True
-        self._state = self.env.reset()
+            collected["next", key][robots, -1] = True
+        self._state = self.env.reset(self._state.set("_reset", robots[:, None]))
 
     def close(self) -> None:
         """Close the environment."""

@@ -14,8 +14,8 @@ from gctd3.data.trials import NOTHING, Shown, Trials
 class MotionSearch(torch.nn.Module, ABC):
     """Search for a fit open-loop motion while all robots try motions.
 
-    In the last round of a warm-up robots try the fittest few motions again, and at its end the winner, from which a
-    policy learns it.
+    At the end of a warm-up, or of each of its rounds, robots try the fittest few motions again, and then the winner,
+    from which a policy learns it.
 
     Args:
         num_robots: Number of robots.
@@ -26,24 +26,49 @@ class MotionSearch(torch.nn.Module, ABC):
     last: Tensor
     age: Tensor
     taken: Tensor
+    began: Tensor
     final: Tensor
 
     FINALISTS = 8  # fittest motions that are tried in the last round; the best one by the mean wins
-    LAST_ROUND: float  # share of the warm-up, at its end, in which robots try the fittest few motions
-    SHOWN: float  # share of the warm-up, at its end, in which all robots try the winner, for a policy to learn it from
+    LAST_ROUND: float  # share of a round, at its end, in which robots try the fittest few motions
+    SHOWN: float  # share of a round, at its end, in which all robots try the winner, for a policy to learn it from
 
     def __init__(self, num_robots: int, trials: Trials, unit: float) -> None:
         super().__init__()
-        self._dt, self._unit, steps = trials.control_dt, unit, trials.steps
+        self._dt, self._unit, self._rounds = trials.control_dt, unit, trials.rounds
         self._limit = math.inf if trials.limit is None else trials.limit
-        self._last_round = math.inf if steps is None else (1.0 - self.LAST_ROUND) * steps
-        self._shown = math.inf if steps is None or not self.SHOWN else round((1.0 - self.SHOWN) * steps)
+        self._round = math.inf if trials.steps is None else trials.steps / trials.rounds
         # Return of the episode up to the last step, and control steps since the trial began: -1 before the first one.
         self.register_buffer("last", torch.zeros(num_robots))
         self.register_buffer("age", torch.full((num_robots,), -1, dtype=torch.int64))
         # Control steps of the warm-up so far, and whether its end has begun.
         self.register_buffer("taken", torch.zeros((), dtype=torch.int64))
         self.register_buffer("final", torch.zeros((), dtype=torch.bool))
+        # Control steps at which the round began.
+        self.register_buffer("began", torch.zeros((), dtype=torch.int64))
+        may_be_missing(self, "began")
+
+    @property
+    def _last_round(self) -> float:
+        """Return the control steps after which robots try the fittest few motions."""
+        return int(self.began) + (1.0 - self.LAST_ROUND) * self._round
+
+    @property
+    def _shown(self) -> float:
+        """Return the control steps after which all robots try the winner."""
+        last = math.isinf(self._round) or not self.SHOWN
+        return math.inf if last else int(self.began) + round((1.0 - self.SHOWN) * self._round)
+
+    @property
+    def round_over(self) -> bool:
+        """Return whether a round is over that is not the last one: its winner is known, and another may begin."""
+        within = self._rounds > 1 and int(self.taken) <= (self._rounds - 0.5) * self._round
+        return within and bool(self.final) and int(self.taken) - int(self.began) >= self._round
+
+    def go_on(self) -> None:
+        """Begin another round, with the motions that are known."""
+        self.began.copy_(self.taken)
+        self.final.fill_(False)
 
     @abstractmethod
     def forward(
@@ -83,9 +108,9 @@ class MotionSearch(torch.nn.Module, ABC):
         return False
 
     @property
-    def anew(self) -> bool:
-        """Return whether robots had best begin anew before the next step."""
-        return False
+    def anew(self) -> Tensor | None:
+        """Return which robots had best begin a new episode before the next step, bool ``[robots]``; or ``None``."""
+        return None
 
     def inherit(self, other: MotionSearch) -> None:
         """Begin with what another search of the same kind has come to; a kind that cannot begins from nothing."""
@@ -101,3 +126,12 @@ class MotionSearch(torch.nn.Module, ABC):
         Returns:
             Actions, ``[*, A]``.
         """
+
+
+def may_be_missing(module: torch.nn.Module, name: str) -> None:
+    """Let a module keep the buffer that it has where a state of an earlier version knows none of this name."""
+
+    def complete(_: torch.nn.Module, state: dict[str, Tensor], prefix: str, *__: object) -> None:
+        state.setdefault(prefix + name, module.get_buffer(name))
+
+    module.register_load_state_dict_pre_hook(complete)  # type: ignore[no-untyped-call]

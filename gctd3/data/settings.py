@@ -6,7 +6,7 @@ import itertools
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from gctd3.errors import ConfigError, check_between
@@ -29,6 +29,11 @@ class ExplorationSettings:
             (:class:`.Stepping`, :class:`.CommandedStepping`); ``jumping``: jumps of the commanded heights, which evolve
             too (:class:`.Jumping`); ``uniform``: random actions, each held for a while.
         learning_starts: Frames of the warm-up, of all robots together, before the policy acts.
+        rounds: Rounds of warmup=stepping, equally long. At the end of each one the fittest gait is evaluated, and the
+            warm-up is over if it meets the conditions that end the training; else gaits evolve on from the fittest few.
+            Where nothing ends the training, all rounds take place.
+        from_standing: Whether robots begin a new episode with each gait that warmup=stepping or swinging tries: then
+            each gait has to start from standing, which is the hardest part.
         hold: Control steps for which warmup=uniform holds an action.
         frequency: Lowest and highest frequency of warmup=rhythmic and warmup=swinging (Hz).
         mutation_share: Share of new gaits that are mutations of those that got farthest before (warmup=rhythmic) or
@@ -48,6 +53,8 @@ class ExplorationSettings:
 
     warmup: Literal["rhythmic", "swinging", "stepping", "jumping", "uniform"] = "rhythmic"
     learning_starts: int = 10_000
+    rounds: int = 1
+    from_standing: bool = False
     hold: int = 5
     frequency: Sequence[float] = (1.2, 2.4)
     mutation_share: float = 0.0
@@ -60,6 +67,11 @@ class ExplorationSettings:
     def __post_init__(self) -> None:
         if self.learning_starts < 0:
             raise ConfigError(f"learning_starts must be at least 0, got {self.learning_starts}.")
+        if self.rounds < 1 or (self.rounds > 1 and self.warmup != "stepping"):
+            least = "at least 1" if self.rounds < 1 else f"1 for warmup={self.warmup}"
+            raise ConfigError(f"rounds must be {least}, got {self.rounds}.")
+        if self.from_standing and self.warmup not in ("stepping", "swinging"):
+            raise ConfigError(f"from_standing must be false for warmup={self.warmup}: it tries no gaits that evolve.")
         if self.hold < 1:
             raise ConfigError(f"hold must be at least 1, got {self.hold}.")
         if len(self.frequency) != 2 or not 0 < self.frequency[0] <= self.frequency[1]:
@@ -75,6 +87,11 @@ class ExplorationSettings:
             raise ConfigError(f"noise must be [smallest, largest] > 0 and <= 10, or null, got {list(self.noise)}.")
         if self.noise_time < 0:
             raise ConfigError(f"noise_time must be at least 0 s, got {self.noise_time}.")
+
+    @property
+    def in_workers(self) -> ExplorationSettings:
+        """Return the settings of explorers in other processes, where nobody ends rounds and episodes for them."""
+        return replace(self, rounds=1, from_standing=False)
 
     @property
     def answers(self) -> bool:

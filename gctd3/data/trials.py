@@ -18,6 +18,8 @@ class Trials:
         steps: Control steps of the warm-up; ``None`` for one without an end.
         limit: Control steps after which an episode ends though the robot has not fallen; ``None`` for no such limit.
         least_speed: Speed below which a gait is less fit (m/s); ``None`` for the reward alone.
+        rounds: Rounds of the warm-up, equally long, each of which ends by trying the fittest few gaits again.
+        from_standing: Whether a robot begins a new episode with each gait; somebody has to see to that.
     """
 
     duration: float
@@ -26,6 +28,8 @@ class Trials:
     steps: int | None = None
     limit: int | None = None
     least_speed: float | None = None
+    rounds: int = 1
+    from_standing: bool = False
 
 
 @dataclass(frozen=True)

@@ -130,7 +130,7 @@ class WorkerCollector:
         seed = int(np.random.SeedSequence([self.seed, slot.index, slot.started, frames]).generate_state(1)[0])
         actor, recipe = copy.deepcopy(self.explorer.actor).to("cpu").requires_grad_(False), self.recipe
         task, robots = recipe.task, recipe.settings.num_envs
-        exploration = self.explorer.settings
+        exploration = self.explorer.settings.in_workers
         explorer = Explorer.of_task(task, actor, robots, exploration, slot.share)
         explorer.frames.fill_(frames)
         job = Job(slot.share, seed, self.workers.cpus, self.steps, recipe, Policy(explorer))

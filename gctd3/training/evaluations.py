@@ -105,14 +105,38 @@ class Evaluations:
         tqdm.write(described(again, stop_when.confirm, sure))
         return sure
 
+    def gait_suffices(self, gaits: MotionSearch, frames: int) -> bool:
+        """Evaluate the fittest gait of a round of the warm-up; return whether it meets what ends the training.
+
+        Args:
+            gaits: Gaits of the warm-up.
+            frames: Frames so far.
+        """
+        stop_when = self.settings.stop_when
+        metrics = self._measure_gait(gaits) if stop_when.evaluations is not None else None
+        if metrics is None:
+            return False
+        if sure := stop_when.all_reached(metrics):
+            self._record_gait(metrics)
+        else:
+            tqdm.write(f"The fittest gait after {frames:,} frames: {figures(metrics)}. Gaits evolve on.")
+        return sure
+
     def _evaluate_gait(self, rhythm: Module | None) -> None:
         """Evaluate the warm-up's fittest gait without a policy, to see later what learning has added."""
+        metrics = self._measure_gait(rhythm)
+        if metrics is not None:
+            self._record_gait(metrics)
+
+    def _measure_gait(self, rhythm: Module | None) -> dict[str, float] | None:
         if not isinstance(rhythm, MotionSearch) or "film" not in self.task.abilities:
-            return
+            return None
         gait = fittest_gait(rhythm, cast(SimulatedTask, self.task))
         if gait is None:
-            return
-        metrics = measure(gait, self.env, self.task, self.settings, self.settings.evaluation.seed)
+            return None
+        return measure(gait, self.env, self.task, self.settings, self.settings.evaluation.seed)
+
+    def _record_gait(self, metrics: Mapping[str, float]) -> None:
         tqdm.write(f"The fittest gait of the warm-up: {figures(metrics)}.")
         write_text(self.checkpoints.run / WARMUP_GAIT, json.dumps(metrics, indent=1) + "\n")
 

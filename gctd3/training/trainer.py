@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -186,9 +186,10 @@ class Trainer:
         check_collected(collected)
         if demonstrates:
             self.gait_imitation.demonstration.add(collected)
-        gait = self.gait_imitation.searched(self.explorer)
-        if gait is not None and gait.anew and isinstance(self.collector, InlineCollector):
-            self.collector.begin_anew(collected)
+        if self.explorer.round_over:
+            self._end_round(collected.numel())
+        if isinstance(self.collector, InlineCollector) and (robots := self._anew()) is not None:
+            self.collector.begin_anew(collected, robots)
         self.replay.extend(collected)
         metrics: dict[str, Tensor] = {}
         if not self.explorer.warming_up and self.replay.ready:
@@ -223,6 +224,20 @@ class Trainer:
             now.promising = now.frames
         elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
             self._begin_again(line, f"no evaluation in {now.frames - now.promising:,} met all conditions.")
+
+    def _anew(self) -> Tensor | None:
+        """Return which robots begin a new episode, because the warm-up's search asks for it."""
+        asks = self.settings.exploration.from_standing or self.gait_imitation.searched(self.explorer) is not None
+        return self.explorer.anew if asks else None
+
+    def _end_round(self, collected: int) -> None:
+        """End the warm-up if its fittest gait meets the conditions that end the training, or let gaits evolve on."""
+        now, gaits = self.counters, cast(MotionSearch, self.explorer.rhythm)
+        if self.evaluations.gait_suffices(gaits, now.frames + collected):
+            self.explorer.end_warmup()
+            now.next_evaluation = now.frames + collected
+        else:
+            gaits.go_on()
 
     def _begin_again(self, line: ProgressLine, why: str, gaits: MotionSearch | None = None) -> None:
         """Begin again with new weights, an empty replay and a warm-up, which may go on from gaits of another one."""
