@@ -114,14 +114,14 @@ class Evaluations:
             gaits: Gaits of the warm-up.
             frames: Frames so far.
         """
-        least = self.settings.stop_when.at_least.get("success_rate")
-        gait = self._gait(gaits) if self.settings.stop_when.evaluations is not None and least is not None else None
-        if gait is None or least is None:
+        stop_when, gait, again = self.settings.stop_when, self._gait(gaits), self._gait(gaits)
+        least = stop_when.at_least.get("success_rate")
+        if gait is None or again is None or least is None or stop_when.evaluations is None:
             return False
-        metrics = self._measured(gait)
-        shown = metrics
-        if metrics["success_rate"] >= least and self.settings.stop_when.confirm:
-            shown = confirm(gait, self.settings, self.task)
+        shown = metrics = self._measured(gait)
+        if metrics["success_rate"] >= least and stop_when.confirm:
+            # Played from its beginning.
+            shown = confirm(again, self.settings, self.task)
         if shown["success_rate"] >= least:
             self._record_gait(metrics)
             return True
