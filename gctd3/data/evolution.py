@@ -93,6 +93,8 @@ class Evolution(MotionSearch):
         # Trials of each robot in a last round.
         self.register_buffer("counted", torch.zeros(num_robots))
         may_be_missing(self, "counted")
+        for name in self._remembered if trials.rounds > 1 else ():
+            self.register_buffer(f"before_{name}", getattr(self, name).clone())
         if trials.least_speed is not None:
             self.register_buffer("walked", torch.zeros(num_robots))
             self.register_buffer("place", torch.zeros(num_robots))
@@ -188,13 +190,32 @@ class Evolution(MotionSearch):
         """Let the robots remember the fittest few gaits, in turn, and nothing else."""
         self.final.fill_(True)
         self.counted.zero_()
+        for name in self._remembered if self._rounds > 1 else ():
+            getattr(self, f"before_{name}").copy_(getattr(self, name))
         first = self.fitness.argsort(descending=True)[: self.FINALISTS]
         first = first[self.fitness[first].isfinite()]
         chosen = first[torch.arange(len(self.fitness)) % len(first)]
         self.finalist.copy_(chosen)
-        for name in (*self.REMEMBERED, *(f"best_{name}" for name in self.genes)):
+        for name in self._remembered:
             values = getattr(self, name)
             values.copy_(values[chosen].clone())
+
+    @property
+    def _remembered(self) -> list[str]:
+        """Return the names of what robots know of the gaits that they remember."""
+        return [*self.REMEMBERED, *(f"best_{name}" for name in self.genes)]
+
+    def go_on(self) -> None:
+        """Begin another round, in which robots remember what they did; how fit finalists are is known better now."""
+        known = sorted(set(self.finalist.tolist()))
+        means = torch.stack([self.fitness[self.finalist == one].mean() for one in known])
+        for name in self._remembered:
+            getattr(self, name).copy_(getattr(self, f"before_{name}"))
+        self.fitness[known] = means
+        self.finalist.fill_(-1)
+        # Trials that have not ended are given up.
+        self.age.fill_(-1)
+        super().go_on()
 
     def inherit(self, other: MotionSearch) -> None:
         """Let each robot begin with the gait that it remembered in another search, and try all gaits for longer.

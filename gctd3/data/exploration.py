@@ -168,6 +168,14 @@ class Explorer(TensorDictModuleBase):
         """Let the policy act from the next step on."""
         self.warmup.copy_(self.frames)
 
+    def resume_warmup(self) -> int:
+        """Let another round of gaits act from the next step on, if any are left; return the frames that are left."""
+        left = self.num_robots * self.rhythm.steps_left if isinstance(self.rhythm, MotionSearch) else 0
+        if left and isinstance(self.rhythm, MotionSearch):
+            self.rhythm.go_on()
+            self.warmup.copy_(self.frames + left)
+        return left
+
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the next action of every robot."""
         if self.warming_up:

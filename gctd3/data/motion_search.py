@@ -62,8 +62,16 @@ class MotionSearch(torch.nn.Module, ABC):
     @property
     def round_over(self) -> bool:
         """Return whether a round is over that is not the last one: its winner is known, and another may begin."""
-        within = self._rounds > 1 and int(self.taken) <= (self._rounds - 0.5) * self._round
-        return within and bool(self.final) and int(self.taken) - int(self.began) >= self._round
+        return int(self.taken) - int(self.began) >= self._round and self.steps_left > 0
+
+    @property
+    def steps_left(self) -> int:
+        """Return the control steps of the rounds that may follow once the winner of one is known, 0 if none may."""
+        if not self.final or not 0 < self._round < math.inf:
+            return 0
+        left = self._rounds - int(self.taken) / self._round
+        # A round may be a few steps longer, until somebody looks.
+        return round(left * self._round) if left > 0.5 else 0
 
     def go_on(self) -> None:
         """Begin another round, with the motions that are known."""

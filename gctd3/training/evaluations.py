@@ -12,7 +12,7 @@ from torch.nn import Module
 from torchrl.envs import EnvBase
 from tqdm import tqdm
 
-from gctd3.data.gait_policy import ByClock, OpenLoop, fittest_gait
+from gctd3.data.gait_policy import fittest_gait
 from gctd3.data.motion_search import MotionSearch
 from gctd3.errors import RunError
 from gctd3.files import write_text
@@ -106,41 +106,34 @@ class Evaluations:
         return sure
 
     def gait_suffices(self, gaits: MotionSearch, frames: int) -> bool:
-        """Evaluate the fittest gait of a round of the warm-up; return whether it succeeds as often as a policy has to.
-
-        So it has to from other starts too, if a policy is confirmed. What else it misses is learnt sooner than found.
+        """Evaluate the fittest gait of a round of the warm-up; return whether it meets what would end the training.
 
         Args:
             gaits: Gaits of the warm-up.
             frames: Frames so far.
         """
-        stop_when, gait, again = self.settings.stop_when, self._gait(gaits), self._gait(gaits)
-        least = stop_when.at_least.get("success_rate")
-        if gait is None or again is None or least is None or stop_when.evaluations is None:
+        stop_when = self.settings.stop_when
+        metrics = self._measure_gait(gaits) if stop_when.evaluations is not None else None
+        if metrics is None:
             return False
-        shown = metrics = self._measured(gait)
-        if metrics["success_rate"] >= least and stop_when.confirm:
-            # Played from its beginning.
-            shown = confirm(again, self.settings, self.task)
-        if shown["success_rate"] >= least:
+        if missed := stop_when.missed(metrics):
+            tqdm.write(f"The fittest gait after {frames:,} frames: {figures(metrics)}. It misses {', '.join(missed)}.")
+        else:
             self._record_gait(metrics)
-            return True
-        others = "" if shown is metrics else " from other starts"
-        tqdm.write(f"The fittest gait after {frames:,} frames: {figures(shown)}{others}. Gaits evolve on.")
-        return False
+        return not missed
 
     def _evaluate_gait(self, rhythm: Module | None) -> None:
         """Evaluate the warm-up's fittest gait without a policy, to see later what learning has added."""
-        gait = self._gait(rhythm)
-        if gait is not None:
-            self._record_gait(self._measured(gait))
+        metrics = self._measure_gait(rhythm)
+        if metrics is not None:
+            self._record_gait(metrics)
 
-    def _gait(self, rhythm: Module | None) -> OpenLoop | ByClock | None:
+    def _measure_gait(self, rhythm: Module | None) -> dict[str, float] | None:
         if not isinstance(rhythm, MotionSearch) or "film" not in self.task.abilities:
             return None
-        return fittest_gait(rhythm, cast(SimulatedTask, self.task))
-
-    def _measured(self, gait: OpenLoop | ByClock) -> dict[str, float]:
+        gait = fittest_gait(rhythm, cast(SimulatedTask, self.task))
+        if gait is None:
+            return None
         return measure(gait, self.env, self.task, self.settings, self.settings.evaluation.seed)
 
     def _record_gait(self, metrics: Mapping[str, float]) -> None:

@@ -90,15 +90,23 @@ class StopWhen:
         """Return the metrics on which there is a condition."""
         return [name for name, _ in (*_bounds(self.at_least), *_bounds(self.at_most))]
 
+    def missed(self, metrics: Mapping[str, float]) -> list[str]:
+        """Name the conditions that do not hold, with what was measured."""
+        sides = (("at least", self.at_least, 1.0), ("at most", self.at_most, -1.0))
+        return [
+            f"{name} {bounded} {bound:g} ({value:.3g})"
+            for bounded, conditions, sign in sides
+            for name, bound in _bounds(conditions)
+            if not sign * (value := metrics.get(name, math.nan)) >= sign * bound
+        ]
+
     def reached(self, metrics: Mapping[str, float]) -> int:
         """Count the conditions that hold; an undefined metric meets none."""
-        low = sum(metrics.get(name, math.nan) >= bound for name, bound in _bounds(self.at_least))
-        high = sum(metrics.get(name, math.nan) <= bound for name, bound in _bounds(self.at_most))
-        return low + high
+        return len(self.names) - len(self.missed(metrics))
 
     def all_reached(self, metrics: Mapping[str, float]) -> bool:
         """Return whether all conditions hold."""
-        return self.reached(metrics) == len(_bounds(self.at_least)) + len(_bounds(self.at_most))
+        return not self.missed(metrics)
 
     def ends_after(self, in_a_row: int) -> bool:
         """Return whether so many evaluations in a row that met all conditions end the training."""

@@ -216,7 +216,9 @@ class Trainer:
         self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
         line.evaluated(self.evaluations.figures(row, now.diverged))
         fails = not self._spent and self.gait_imitation.failed(self.algorithm, now.in_a_row)
-        if fails and self.gait_imitation.evolves_on(row, now.restarts):
+        if fails and (left := self.explorer.resume_warmup()):
+            self._warm_up_on(line, left)
+        elif fails and self.gait_imitation.evolves_on(row, now.restarts):
             self._begin_again(line, FAILS, self.gait_imitation.best_gaits(self.explorer, row))
         elif fails and self.gait_imitation.gives_up(now.restarts):
             self._begin_again(line, FAILS)
@@ -238,6 +240,16 @@ class Trainer:
             now.next_evaluation = now.frames + collected
         else:
             gaits.go_on()
+            self.gait_imitation.demonstration.clear()
+
+    def _warm_up_on(self, line: ProgressLine, frames: int) -> None:
+        """Go on with the warm-up for so many frames at most; a new policy then begins as its fittest gait."""
+        line.write(f"After {self.counters.frames:,} frames: {FAILS} Gaits evolve on; the best policy is kept.")
+        self.algorithm = self.settings.algo.build(self.setup.architecture(self.device))
+        self.explorer.actor = self.algorithm.actor
+        self.gait_imitation.demonstration.clear()
+        self.counters.next_evaluation = self.counters.frames + frames
+        self.evaluations.forget_gait()
 
     def _begin_again(self, line: ProgressLine, why: str, gaits: MotionSearch | None = None) -> None:
         """Begin again with new weights, an empty replay and a warm-up, which may go on from gaits of another one."""

@@ -1,0 +1,228 @@
+"""Rounds of the warm-up: when one is over, what the next one begins with, and gaits that begin from standing."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from hydra import compose, initialize_config_module
+from tensordict import TensorDict
+
+from gctd3.config.build import build
+from gctd3.data.exploration import Explorer
+from gctd3.data.inline_collector import InlineCollector
+from gctd3.data.settings import ExplorationSettings
+from gctd3.data.stepping import Stepping
+from gctd3.data.trials import Trials
+from gctd3.envs.factory import EnvRecipe
+from gctd3.errors import ConfigError
+from gctd3.robots.settings import RobotSettings
+
+ROBOTS = 8
+DT = 0.02
+
+
+@pytest.fixture(scope="module")
+def quadruped():
+    return RobotSettings("quadruped", action_scale=0.5).load()
+
+
+def gaits_of(robot, **trials):
+    torch.manual_seed(0)
+    return Stepping(robot, ROBOTS, Trials(**{"duration": 2 * DT, "control_dt": DT, **trials}))
+
+
+def play(gaits, steps, returned):
+    """Take steps that none of the robots begins an episode in; return what they have earned then."""
+    nothing = torch.zeros(ROBOTS, dtype=torch.bool)
+    for _ in range(steps):
+        returned = returned + 0.01 * torch.rand(ROBOTS)
+        gaits(nothing, returned)
+    return returned
+
+
+def begun(gaits):
+    gaits(torch.ones(ROBOTS, dtype=torch.bool), torch.zeros(ROBOTS))
+    return torch.zeros(ROBOTS)
+
+
+def test_a_round_ends_with_the_fittest_few_and_another_one_searches_on(quadruped):
+    """Of 40 steps in two rounds the 14th to the 20th, and the 34th to the 40th, are of the fittest few."""
+    gaits = gaits_of(quadruped, steps=40, rounds=2)
+    returned = begun(gaits)
+    final, over = [bool(gaits.final)], [gaits.round_over]
+    for step in range(1, 40):
+        if step == 20:
+            gaits.go_on()
+        returned = play(gaits, 1, returned)
+        final.append(bool(gaits.final))
+        over.append(gaits.round_over)
+    assert final == 14 * [False] + 6 * [True] + 14 * [False] + 6 * [True]
+    # After its last step the first round is over; the last round has none that follows.
+    assert over == [*(19 * [False]), True, *(20 * [False])]
+
+
+def test_what_a_round_has_found_is_known_in_the_next_one(quadruped):
+    """Each robot remembers its own gait again, and of the fittest few how they did when they were tried again."""
+    gaits = gaits_of(quadruped, steps=40, rounds=2)
+    returned = play(gaits, 13, begun(gaits))
+    gaits.fitness.copy_(torch.arange(8.0))
+    genes = gaits.best_stride.clone()
+    returned = play(gaits, 6, returned)
+    # With eight robots all eight gaits are finalists, each in one robot.
+    measured = gaits.fitness.clone()
+    assert measured.max() < 0.1 and gaits.finalist.tolist() == list(range(7, -1, -1))
+    gaits.go_on()
+    torch.testing.assert_close(gaits.fitness, measured.flip(0))
+    assert gaits.best_stride.tolist() == genes.tolist() and not gaits.final
+    # The next trials are of new gaits, and none of the cut ones counts.
+    known = gaits.fitness.clone()
+    play(gaits, 1, returned)
+    assert gaits.fitness.tolist() == known.tolist()
+    assert gaits.fittest_action(torch.zeros(1)).isfinite().all()
+
+
+def test_a_warm_up_of_one_round_is_never_over_before_its_end(quadruped):
+    gaits = gaits_of(quadruped, steps=20)
+    returned = begun(gaits)
+    for _ in range(30):
+        returned = play(gaits, 1, returned)
+        assert not gaits.round_over
+
+
+def test_the_last_trials_count_alike(quadruped):
+    """The fitness of each robot's finalist is the mean of its trials in the last round, and of no luckier one."""
+    gaits = gaits_of(quadruped, duration=DT, steps=20)
+    returned = begun(gaits)
+    gaits.fitness.fill_(5.0)
+    gaits.taken.fill_(14)
+    earned = torch.zeros(ROBOTS)
+    # The trial that the last round cuts short counts for nothing.
+    gaits(torch.zeros(ROBOTS, dtype=torch.bool), returned)
+    for trial in range(1, 6):
+        earned = torch.rand(ROBOTS)
+        returned = returned + earned
+        gaits(torch.zeros(ROBOTS, dtype=torch.bool), returned)
+        torch.testing.assert_close(gaits.fitness, returned / trial)
+    assert float((gaits.fitness - earned).abs().max()) > 0.1
+
+
+def test_a_gait_from_standing_is_tried_until_its_episode_ends(quadruped):
+    """It asks for a new episode after its time, and has not fallen then; one that ends before has."""
+    gaits = gaits_of(quadruped, duration=3 * DT, from_standing=True)
+    nothing = torch.zeros(ROBOTS, dtype=torch.bool)
+    begun(gaits)
+    tried = gaits.stride.clone()
+    gaits(nothing, torch.full((ROBOTS,), 0.1))
+    assert gaits.anew is None
+    gaits(nothing, torch.full((ROBOTS,), 0.2))
+    assert gaits.anew.tolist() == ROBOTS * [True]
+    # The collector may take another step first.
+    gaits(nothing, torch.full((ROBOTS,), 0.3))
+    assert gaits.stride.tolist() == tried.tolist() and not gaits.fitness.isfinite().any()
+    ends = torch.arange(ROBOTS) < 3
+    gaits(ends, torch.where(ends, 0.0, 0.4))
+    # Three steps were rewarded before the fourth began, whose reward is not known.
+    torch.testing.assert_close(gaits.fitness[:3], torch.full((3,), 0.3 / 4))
+    assert gaits.anew.tolist() == (~ends).tolist()
+    # The three have new gaits, of which one falls after two steps.
+    gaits(nothing, torch.where(ends, 0.1, 0.5))
+    falls = torch.arange(ROBOTS) == 0
+    again = bool(gaits.again[0])
+    gaits(falls, torch.where(falls, 0.0, 0.6))
+    fallen = 0.1 / 3 - 1.0
+    assert gaits.fitness[0] == pytest.approx(0.5 * (0.3 / 4 + fallen) if again else 0.3 / 4)
+
+
+def test_only_the_robots_that_are_asked_for_begin_anew():
+    """TorchRL's reset by a mask: the others' episodes go on, and neither learns from the other's end."""
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        settings = build(compose("config", ["robot=quadruped"]))
+    task = settings.setup().task
+    torch.manual_seed(0)
+    env = EnvRecipe(task, replace(settings.env, num_envs=4, threads=1)).make(0)
+
+    class Still(torch.nn.Module):
+        in_keys, out_keys = ("nodes",), ("action",)
+
+        def forward(self, tensordict):
+            return tensordict.set("action", torch.zeros(4, env.action_spec.shape[-1]))
+
+    collector = InlineCollector(env, Still(), 3)
+    first = collector.collect()
+    assert not first["next", "done"].any()
+    chosen = torch.tensor([False, True, False, True])
+    collector.begin_anew(first, chosen)
+    for key in ("done", "truncated"):
+        assert first["next", key][:, -1, 0].tolist() == chosen.tolist()
+        assert not first["next", key][:, :-1].any()
+    second = collector.collect()
+    assert second["is_init"][:, 0, 0].tolist() == chosen.tolist()
+    # What went on begins where it was, to the digit.
+    assert second["nodes"][~chosen, 0].tolist() == first["next", "nodes"][~chosen, -1].tolist()
+    assert second["episode_reward"][chosen, 0].tolist() == [[0.0], [0.0]]
+    assert (second["episode_reward"][~chosen, 0] == first["next", "episode_reward"][~chosen, -1]).all()
+    collector.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"warmup": "stepping", "rounds": 0}, "rounds must be at least 1, got 0"),
+        ({"warmup": "swinging", "rounds": 2}, "rounds must be 1 for warmup=swinging, got 2"),
+        ({"warmup": "uniform", "from_standing": True}, "from_standing must be false for warmup=uniform"),
+    ],
+)
+def test_settings_that_do_not_go_together(settings, message):
+    with pytest.raises(ConfigError, match=message):
+        ExplorationSettings(**settings)
+
+
+def test_gaits_that_follow_a_command_have_one_round(quadruped):
+    settings = ExplorationSettings(warmup="stepping", rounds=2)
+    with pytest.raises(ConfigError, match="rounds must be 1 for gaits that follow a command, got 2"):
+        Explorer(torch.nn.Linear(1, 1), quadruped, 4, settings, command=lambda nodes: nodes)
+
+
+def test_other_processes_have_nobody_who_ends_rounds_and_episodes():
+    settings = ExplorationSettings(warmup="stepping", learning_starts=100, rounds=4, from_standing=True)
+    alone = settings.in_workers
+    assert (alone.rounds, alone.from_standing, alone.learning_starts) == (1, False, 100)
+
+
+def test_a_state_from_before_there_were_rounds_is_taken(quadruped):
+    old = gaits_of(quadruped, steps=40)
+    play(old, 9, begun(old))
+    state = {name: value for name, value in old.state_dict().items() if name not in ("began", "counted")}
+    new = gaits_of(quadruped, steps=40)
+    new.load_state_dict(state)
+    assert new.fitness.tolist() == old.fitness.tolist() and int(new.began) == 0
+    # What else is missing still counts as missing.
+    with pytest.raises(RuntimeError, match="fitness"):
+        new.load_state_dict({name: value for name, value in state.items() if name != "fitness"})
+
+
+def test_the_policy_acts_from_the_end_of_the_warm_up_on(quadruped):
+    """The explorer's warm-up lasts until it is ended, and its end is part of its state."""
+
+    class Actor(torch.nn.Module):
+        in_keys, out_keys = ("nodes",), ("action",)
+
+        def __init__(self):
+            super().__init__()
+            self.weight = torch.nn.Parameter(torch.zeros(()))
+
+        def forward(self, seen):
+            return seen.set("action", 0.25 + self.weight.expand(4, quadruped.model.nu))
+
+    settings = ExplorationSettings(learning_starts=4000, noise=None)
+    explorer = Explorer(Actor(), quadruped, 4, settings)
+    seen = TensorDict({"nodes": torch.zeros(4, 1), "is_init": torch.ones(4, 1, dtype=torch.bool)}, [4])
+    explorer(seen.clone())
+    assert explorer.warming_up
+    explorer.end_warmup()
+    assert not explorer.warming_up
+    assert explorer(seen.clone())["action"].unique().tolist() == [0.25]
+    other = Explorer(Actor(), quadruped, 4, settings)
+    other.load_state_dict(explorer.state_dict())
+    assert not other.warming_up and not math.isinf(int(other.warmup))

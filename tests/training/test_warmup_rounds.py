@@ -1,0 +1,80 @@
+"""A warm-up in rounds: it ends once its fittest gait succeeds, and a run that was stopped in it goes on alike."""
+
+import json
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+from resuming import assert_same_run, stopped
+from running import command, rows, train
+
+# Two rounds of 10 of 20 control steps, of four robots.
+ROUNDS = [
+    "robot=quadruped",
+    "exploration.rounds=2",
+    "exploration.gait_time=0.04",
+    "exploration.from_standing=true",
+    "imitation.updates=3",
+    "imitation.critics_first=2",
+    "imitation.extensions=0",
+    "stop_when.confirm=2",
+    "stop_when.evaluations=9",
+]
+ANY, ALL = (f"stop_when.at_least.success_rate={share}" for share in (0, 1))
+
+
+def updates(run):
+    return {int(row["frames"]): int(row["updates"]) for row in rows(run)}
+
+
+def test_a_gait_that_succeeds_ends_the_warm_up(tmp_path, capsys):
+    run = train(tmp_path, *ROUNDS, ANY)
+    said = capsys.readouterr().out
+    assert "The fittest gait of the warm-up" in said and "evolve on" not in said
+    # The policy begins as the gait, and is evaluated, at the first batch after the round.
+    first, *others = updates(run)
+    assert 40 <= first < 80 and others
+    assert updates(run)[first] > 0
+    assert json.loads((run / "warmup_gait.json").read_text())["episodes"] == 2
+
+
+def test_gaits_evolve_on_where_none_succeeds(tmp_path, capsys):
+    run = train(tmp_path, *ROUNDS, ALL)
+    said = capsys.readouterr().out
+    assert said.count("Gaits evolve on.") == 1 and said.count("The policy begins as") == 1
+    assert min(updates(run)) == 80
+    # Of the last round, whether it succeeds or not.
+    assert (run / "warmup_gait.json").is_file()
+
+
+def test_trainings_that_nothing_ends_have_equal_warm_ups(tmp_path, capsys):
+    """Comparisons give every policy as much of it, whatever its gaits do."""
+    run = train(tmp_path, *ROUNDS, ANY, "stop_when.evaluations=null")
+    assert "evolve on" not in capsys.readouterr().out
+    assert min(updates(run)) == 80
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("bound", "frames"), [(ANY, 64), (ALL, 64), (ALL, 40)])
+def test_stopped_after_a_round(tmp_path, bound, frames):
+    settings = [*ROUNDS, bound]
+    whole = train(tmp_path / "whole", *settings)
+    part = stopped(tmp_path / "part", frames, *settings)
+    assert command("train", f"resume={part}") == 0
+    assert_same_run(whole, part)
+
+
+def test_robots_with_free_bases_have_rounds_as_long_as_a_search():
+    """Every robot's rounds divide its warm-up, and hold at least ten trials of each robot."""
+    robots = sorted(path.stem for path in (Path(__file__).parents[2] / "conf/robot").glob("*.yaml"))
+    seen = set()
+    with initialize_config_module("gctd3.conf", version_base="1.3"):
+        for robot in [name for name in robots if name not in ("free", "free_biped")]:
+            config = compose("config", [f"robot={robot}"])
+            exploration, robots_at_once = OmegaConf.to_container(config.exploration), config.env.num_envs
+            rounds = exploration.get("rounds", 1)
+            if rounds > 1:
+                assert exploration["learning_starts"] / rounds / robots_at_once * 0.02 / 4.0 > 4.0, robot
+                seen.add(robot)
+    assert {"go2", "g1", "quadruped"} <= seen
