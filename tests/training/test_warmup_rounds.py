@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from finished import BRIEF
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 from resuming import assert_same_run, stopped
@@ -11,7 +12,9 @@ from running import command, rows, train
 
 # Two rounds of 10 of 20 control steps, of four robots.
 ROUNDS = [
+    BRIEF,
     "robot=quadruped",
+    "replay.n_step=1",
     "exploration.rounds=2",
     "exploration.gait_time=0.04",
     "exploration.from_standing=true",
@@ -21,7 +24,10 @@ ROUNDS = [
     "stop_when.confirm=2",
     "stop_when.evaluations=9",
 ]
-ANY, ALL = (f"stop_when.at_least.success_rate={share}" for share in (0, 1))
+# Conditions that each gait meets, and that none does.
+OTHERS = ("velocity_mean", "stride_hz", "periodic_fraction", "height_from_home")
+FREED = ["~stop_when.at_most", *(f"stop_when.at_least.{name}=null" for name in OTHERS)]
+ANY, NONE = ([*FREED, f"stop_when.at_least.success_rate={share}"] for share in (0, 1))
 
 
 def updates(run):
@@ -29,9 +35,9 @@ def updates(run):
 
 
 def test_a_gait_that_succeeds_ends_the_warm_up(tmp_path, capsys):
-    run = train(tmp_path, *ROUNDS, ANY)
+    run = train(tmp_path, *ROUNDS, *ANY)
     said = capsys.readouterr().out
-    assert "The fittest gait of the warm-up" in said and "evolve on" not in said
+    assert "The fittest gait of the warm-up" in said and "misses" not in said
     # The policy begins as the gait, and is evaluated, at the first batch after the round.
     first, *others = updates(run)
     assert 40 <= first < 80 and others
@@ -40,25 +46,41 @@ def test_a_gait_that_succeeds_ends_the_warm_up(tmp_path, capsys):
 
 
 def test_gaits_evolve_on_where_none_succeeds(tmp_path, capsys):
-    run = train(tmp_path, *ROUNDS, ALL)
+    run = train(tmp_path, *ROUNDS, *NONE)
     said = capsys.readouterr().out
-    assert said.count("Gaits evolve on.") == 1 and said.count("The policy begins as") == 1
+    assert said.count("It misses success_rate at least 1 (0).") == 1 and said.count("The policy begins as") == 1
     assert min(updates(run)) == 80
     # Of the last round, whether it succeeds or not.
     assert (run / "warmup_gait.json").is_file()
 
 
+def test_gaits_evolve_on_if_the_policy_that_begins_as_one_fails(tmp_path, capsys, monkeypatch):
+    """From other starts the policy misses what it met; a new one begins as the fittest gait of the other round."""
+    speeds = iter([-200.0, 0.0])
+
+    def again(*_):
+        return {"return_mean": 0.0, "success_rate": 0.0, "velocity_mean": next(speeds)}
+
+    monkeypatch.setattr("gctd3.training.evaluations.confirm", again)
+    run = train(tmp_path, *ROUNDS, *ANY, "stop_when.at_least.velocity_mean=-100", "stop_when.evaluations=1")
+    said = capsys.readouterr().out
+    assert said.count("The policy begins as") == 2 and said.count("Gaits evolve on; the best policy is kept.") == 1
+    first, second = rows(run)
+    assert (float(first["confirmed"]), float(second["confirmed"])) == (0.0, 1.0)
+    assert 40 <= int(first["frames"]) < 80 <= int(second["frames"])
+
+
 def test_trainings_that_nothing_ends_have_equal_warm_ups(tmp_path, capsys):
     """Comparisons give every policy as much of it, whatever its gaits do."""
-    run = train(tmp_path, *ROUNDS, ANY, "stop_when.evaluations=null")
-    assert "evolve on" not in capsys.readouterr().out
+    run = train(tmp_path, *ROUNDS, *ANY, "stop_when.evaluations=null")
+    assert "It misses" not in capsys.readouterr().out
     assert min(updates(run)) == 80
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("bound", "frames"), [(ANY, 64), (ALL, 64), (ALL, 40)])
+@pytest.mark.parametrize(("bound", "frames"), [(ANY, 64), (NONE, 64), (NONE, 40)])
 def test_stopped_after_a_round(tmp_path, bound, frames):
-    settings = [*ROUNDS, bound]
+    settings = [*ROUNDS, *bound]
     whole = train(tmp_path / "whole", *settings)
     part = stopped(tmp_path / "part", frames, *settings)
     assert command("train", f"resume={part}") == 0
