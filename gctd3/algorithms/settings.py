@@ -26,11 +26,8 @@ class ImitationSettings:
             policy of another run needs none of them, but is held to only if there are some.
         initial_learning_rate: Learning rate at the first of these updates, from which it falls linearly to 0, so that
             the last batches are not followed more than the others; ``None`` for the algorithm's, which stays.
-        extensions: Times that the warm-up goes on, from the gaits that it has come to and with longer trials, when a
-            policy that still is the gait misses conditions that would end the training, and not all of its episodes
-            succeed: gaits evolve on sooner than learning mends one that falls.
-        retries: Times, after all these, that the training begins again with a new warm-up, when such a policy misses
-            those conditions: another gait is found sooner than learning mends one.
+        retries: Times that the training begins again with a new warm-up, when a policy that still is the gait misses
+            conditions that would end the training: another gait is found sooner than learning mends one.
         critics_first: Updates of the critics that follow before the actor learns on.
         weight: Factor of the mean squared difference from the gait's actions in the actor's loss, in the unit of that
             loss (TD3+BC, arXiv:2106.06860, has 0.4 for data).
@@ -39,14 +36,13 @@ class ImitationSettings:
 
     updates: int = 0
     initial_learning_rate: float | None = None
-    extensions: int = 0
     retries: int = 0
     critics_first: int = 1000
     weight: float = 12.0
     fade: int = 8000
 
     def __post_init__(self) -> None:
-        for name in ("updates", "extensions", "retries", "critics_first"):
+        for name in ("updates", "retries", "critics_first"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"{name} must be at least 0, got {getattr(self, name)}.")
         if self.initial_learning_rate is not None and not self.initial_learning_rate > 0:

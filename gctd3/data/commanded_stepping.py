@@ -49,7 +49,6 @@ class CommandedStepping(Stepping):
         **{name: bounds for name, bounds in Stepping.GENES.items() if name != "stride"},
     }
     REMEMBERED: ClassVar[tuple[str, ...]] = ("fitness", "results", "asked")
-    LEARNT: ClassVar[tuple[str, ...]] = ("moments", "earnings")
     SIZES = 6  # numbers that tell how hard a command is
     # Speed of the fastest foot over the ground from which on feet are lifted fully: the root of a Froude number.
     SLOW = 0.05

@@ -10,7 +10,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from gctd3.data.motion_search import MotionSearch, may_be_missing
+from gctd3.data.motion_search import MotionSearch
 from gctd3.data.trials import NOTHING, Shown, Trials
 
 
@@ -38,9 +38,7 @@ class Evolution(MotionSearch):
     cycles: Tensor
     start: Tensor
     lived: Tensor
-    span: Tensor
     again: Tensor
-    heirs: Tensor
     finalist: Tensor
     counted: Tensor
     walked: Tensor
@@ -50,9 +48,6 @@ class Evolution(MotionSearch):
     GENES: ClassVar[Mapping[str, tuple[float, float, bool]]] = {}
     CYCLIC: tuple[str, ...] = ("phase",)
     REMEMBERED: ClassVar[tuple[str, ...]] = ("fitness",)  # what robots know of the gait that they remember
-    LEARNT: ClassVar[tuple[str, ...]] = ()  # what all trials together have shown
-    LONGER = 2  # times as long as others, the trials of a search that goes on from another
-    DEARER = 2  # times as dear, a fall in it: one in ten trials of 4 s costs a third of an episode of 30 s
     MUTATION = 0.08  # standard deviation, of a gene's range
     RIVALS = 8  # robots of whom the fittest one is the parent
     FALL = 1.0  # by which a fall lowers the fitness: about what a brisk walk is worth (reward of a control step)
@@ -75,8 +70,7 @@ class Evolution(MotionSearch):
         super().__init__(num_robots, trials, unit)
         self.genes = {**(genes or {}), **self.GENES}
         self.groups, self._trials = groups, trials
-        # Control steps of a trial.
-        self.register_buffer("span", torch.tensor(max(round(trials.duration / trials.control_dt), 1)))
+        self._steps = max(round(trials.duration / trials.control_dt), 1)  # control steps of a trial
         self._showing = max(1, round(self.SHOWN * (trials.steps or 0) / trials.rounds / self.STARTS))
         self._fixed = dict(fixed or {})
         for name, values in self._draw(num_robots).items():
@@ -87,12 +81,9 @@ class Evolution(MotionSearch):
         self.register_buffer("start", torch.zeros(num_robots))
         self.register_buffer("lived", torch.zeros(num_robots, dtype=torch.int64))
         self.register_buffer("again", torch.zeros(num_robots, dtype=torch.bool))
-        # Robots that begin with a gait of another search.
-        self.register_buffer("heirs", torch.zeros(num_robots, dtype=torch.bool))
         self.register_buffer("finalist", torch.full((num_robots,), -1, dtype=torch.int64))
         # Trials of each robot in a last round.
         self.register_buffer("counted", torch.zeros(num_robots))
-        may_be_missing(self, "counted")
         for name in self._remembered if trials.rounds > 1 else ():
             self.register_buffer(f"before_{name}", getattr(self, name).clone())
         if trials.least_speed is not None:
@@ -111,11 +102,6 @@ class Evolution(MotionSearch):
         Returns:
             Actions, ``[B, A]``.
         """
-
-    @property
-    def _steps(self) -> int:
-        """Return the control steps of a trial."""
-        return int(self.span)
 
     def _draw(self, count: int) -> dict[str, Tensor]:
         drawn = {}
@@ -148,9 +134,8 @@ class Evolution(MotionSearch):
             fell &= ~complete
         # A trial that the time limit cuts short says nothing.
         tried = ended & (self.age > 0) & (fell | complete)
-        fall = self.FALL * (self.DEARER if self.heirs.any() else 1)
         # What falls earns nothing for the rest of its trial; one that waits for its episode to end is longer.
-        result = (self.last - self.start) / self.age.clamp(min=self._steps) - fall * fell
+        result = (self.last - self.start) / self.age.clamp(min=self._steps) - self.FALL * fell
         if self._trials.least_speed is not None:
             # A robot that falls has not walked for the rest of the trial.
             speed = self.walked / (self.age.clamp(min=self._steps) * self._dt)
@@ -160,12 +145,10 @@ class Evolution(MotionSearch):
         share = 1.0 if self.final else self.AGAIN
         repeats = (torch.rand(len(ended)) < share) & self.fitness.isfinite()
         self.again.copy_(torch.where(ended, repeats, self.again))
-        # A gait from another search is tried before a new one.
-        remembered = repeats | (self.heirs & ~self.fitness.isfinite())
         for name, (_, _, paired) in self.genes.items():
             best, now = getattr(self, f"best_{name}"), getattr(self, name)
             best.copy_(torch.where(fitter[:, None] if paired else fitter, now, best))
-            next_one = torch.where(remembered[:, None] if paired else remembered, best, children[name])
+            next_one = torch.where(repeats[:, None] if paired else repeats, best, children[name])
             now.copy_(torch.where(ended[:, None] if paired else ended, next_one, now))
 
     def _judge(self, tried: Tensor, result: Tensor) -> Tensor:
@@ -216,16 +199,6 @@ class Evolution(MotionSearch):
         # Trials that have not ended are given up.
         self.age.fill_(-1)
         super().go_on()
-
-    def inherit(self, other: MotionSearch) -> None:
-        """Let each robot begin with the gait that it remembered in another search, and try all gaits for longer.
-
-        How fit it was is forgotten: what falls after a short trial has not fallen in it.
-        """
-        for name in (*(f"best_{name}" for name in self.genes), *self.LEARNT):
-            getattr(self, name).copy_(getattr(other, name))
-        self.heirs.fill_(True)
-        self.span.mul_(self.LONGER)
 
     def _let_all_follow(self) -> None:
         """Let all robots remember the fittest gait, and nothing else."""

@@ -13,7 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.data.commanded_stepping import CommandedStepping
 from gctd3.data.jumping import Jumping
-from gctd3.data.motion_search import MotionSearch, may_be_missing
+from gctd3.data.motion_search import MotionSearch
 from gctd3.data.rhythm import Rhythm
 from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
@@ -125,7 +125,6 @@ class Explorer(TensorDictModuleBase):
         self.register_buffer("frames", torch.zeros((), dtype=torch.int64))
         # Frames of the warm-up.
         self.register_buffer("warmup", torch.tensor(settings.learning_starts))
-        may_be_missing(self, "warmup")
         self.register_buffer("held", torch.zeros(robots, robot.model.nu))
         low, high = settings.noise if settings.noise is not None else (1.0, 1.0)
         spread = torch.logspace(math.log10(low), math.log10(high), num_robots)

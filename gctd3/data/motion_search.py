@@ -46,7 +46,6 @@ class MotionSearch(torch.nn.Module, ABC):
         self.register_buffer("final", torch.zeros((), dtype=torch.bool))
         # Control steps at which the round began.
         self.register_buffer("began", torch.zeros((), dtype=torch.int64))
-        may_be_missing(self, "began")
 
     @property
     def _last_round(self) -> float:
@@ -120,9 +119,6 @@ class MotionSearch(torch.nn.Module, ABC):
         """Return which robots had best begin a new episode before the next step, bool ``[robots]``; or ``None``."""
         return None
 
-    def inherit(self, other: MotionSearch) -> None:
-        """Begin with what another search of the same kind has come to; a kind that cannot begins from nothing."""
-
     @abstractmethod
     def fittest_action(self, phase: Tensor, shown: Shown = NOTHING) -> Tensor:
         """Return the actions of the fittest motion after states of the given phases.
@@ -134,12 +130,3 @@ class MotionSearch(torch.nn.Module, ABC):
         Returns:
             Actions, ``[*, A]``.
         """
-
-
-def may_be_missing(module: torch.nn.Module, name: str) -> None:
-    """Let a module keep the buffer that it has where a state of an earlier version knows none of this name."""
-
-    def complete(_: torch.nn.Module, state: dict[str, Tensor], prefix: str, *__: object) -> None:
-        state.setdefault(prefix + name, module.get_buffer(name))
-
-    module.register_load_state_dict_pre_hook(complete)  # type: ignore[no-untyped-call]

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import math
-from collections.abc import Mapping
 from functools import partial
 from typing import Any, cast
 
@@ -46,9 +43,6 @@ class GaitImitation:
         self.demonstration = Demonstration(settings.replay.batch_size, replay.mirror, device)
         self._asked = bool(settings.imitation.updates)
         self._initial: TensorDictModuleBase | None = None
-        # The gaits of the warm-up whose fittest one was evaluated as best, and the score of that evaluation.
-        self._gaits: MotionSearch | None = None
-        self._score = -math.inf
 
     def remember(self, algorithm: Algorithm) -> None:
         """Take the policy as it is now, that of another run, as what the actor is held to."""
@@ -115,50 +109,23 @@ class GaitImitation:
         # A policy that meets the conditions only sometimes counts as none in a row.
         return self.settings.stop_when.evaluations is not None and in_a_row == 0
 
-    def evolves_on(self, row: Mapping[str, float], restarts: int) -> bool:
-        """Return whether the warm-up goes on after a gait that failed: some of its episodes have not succeeded.
-
-        Args:
-            row: Its evaluation.
-            restarts: Gaits that failed before.
-        """
-        return restarts < self.settings.imitation.extensions and row.get("success_rate", 0.0) < 1.0
-
-    def best_gaits(self, explorer: Explorer, row: Mapping[str, float]) -> MotionSearch | None:
-        """Return the gaits of the best warm-up so far, from which another one goes on; ``None`` without gaits.
-
-        Args:
-            explorer: The explorer of the latest warm-up.
-            row: The evaluation of the policy that is its fittest gait.
-        """
-        score = self.settings.stop_when.score(row)
-        if isinstance(explorer.rhythm, MotionSearch) and score >= self._score:
-            self._gaits, self._score = explorer.rhythm, score
-        return self._gaits
-
     def gives_up(self, restarts: int) -> bool:
         """Return whether another gait is looked for after so many that failed."""
-        settings = self.settings.imitation
-        return settings.extensions <= restarts < settings.extensions + settings.retries
+        return restarts < self.settings.imitation.retries
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what robots that followed a gait observed and did, the policy of another run, and the best gaits."""
+        """Return what robots that followed a gait observed and did, and the policy of another run."""
         initial = {} if self._initial is None else {"initial": dict(self._initial.state_dict())}
-        gaits = {} if self._gaits is None else {"gaits": dict(self._gaits.state_dict()), "score": self._score}
-        return {**self.demonstration.state_dict(), **initial, **gaits}
+        return {**self.demonstration.state_dict(), **initial}
 
-    def load_state_dict(self, state: dict[str, Any] | None, algorithm: Algorithm, explorer: Explorer) -> None:
+    def load_state_dict(self, state: dict[str, Any] | None, algorithm: Algorithm) -> None:
         """Restore what :meth:`state_dict` returned; ``None`` for nothing.
 
         Args:
             state: The state.
             algorithm: The algorithm, whose policy is of the kind of the other run's.
-            explorer: The explorer, whose gaits are of the kind of the best ones.
         """
         self.demonstration.load_state_dict(state)
-        if state is not None and "gaits" in state and isinstance(explorer.rhythm, MotionSearch):
-            self._gaits, self._score = copy.deepcopy(explorer.rhythm), state["score"]
-            self._gaits.load_state_dict(state["gaits"])
         if state is not None and "initial" in state:
             self.remember(algorithm)
             if self._initial is not None:

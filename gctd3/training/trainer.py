@@ -218,8 +218,6 @@ class Trainer:
         fails = not self._spent and self.gait_imitation.failed(self.algorithm, now.in_a_row)
         if fails and (left := self.explorer.resume_warmup()):
             self._warm_up_on(line, left)
-        elif fails and self.gait_imitation.evolves_on(row, now.restarts):
-            self._begin_again(line, FAILS, self.gait_imitation.best_gaits(self.explorer, row))
         elif fails and self.gait_imitation.gives_up(now.restarts):
             self._begin_again(line, FAILS)
         elif settings.stop_when.all_reached(row):
@@ -251,13 +249,11 @@ class Trainer:
         self.counters.next_evaluation = self.counters.frames + frames
         self.evaluations.forget_gait()
 
-    def _begin_again(self, line: ProgressLine, why: str, gaits: MotionSearch | None = None) -> None:
-        """Begin again with new weights, an empty replay and a warm-up, which may go on from gaits of another one."""
-        now, how = self.counters, "It begins again" if gaits is None else "Its gaits evolve on"
-        line.write(f"After {now.frames:,} frames: {why} {how} with new weights; the best policy is kept.")
+    def _begin_again(self, line: ProgressLine, why: str) -> None:
+        """Begin again with new weights, an empty replay and a new warm-up."""
+        now = self.counters
+        line.write(f"After {now.frames:,} frames: {why} It begins again with new weights; the best policy is kept.")
         self.algorithm, self.explorer = self._new_learner()
-        if gaits is not None and isinstance(self.explorer.rhythm, MotionSearch):
-            self.explorer.rhythm.inherit(gaits)
         self._begin_from_a_run()
         self.collector.follow(self.explorer)
         self.replay.clear()
@@ -323,7 +319,7 @@ class Trainer:
         self.log.restore(state["rows"], self.counters.frames)
         self.algorithm.load_state_dict(state["algorithm"])
         self.explorer.load_state_dict(state["explorer"])
-        self.gait_imitation.load_state_dict(state.get("demonstration"), self.algorithm, self.explorer)
+        self.gait_imitation.load_state_dict(state.get("demonstration"), self.algorithm)
         if self.algorithm.updates:
             self.gait_imitation.follow(self.algorithm, self.explorer)
         self.collector.load_state_dict(state["collector"])

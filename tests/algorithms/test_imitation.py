@@ -106,7 +106,7 @@ def test_its_own_learning_rate_falls_to_zero(monkeypatch, own, rates):
         def step(self):
             used.append(self.param_groups[0]["lr"])
 
-    monkeypatch.setattr(torch.optim, "Adam", Noting)
+    monkeypatch.setattr("gctd3.algorithms.imitation.Adam", Noting)
     algorithm = build("td3")
     Imitation(ImitationSettings(updates=4, initial_learning_rate=own), controller).begin(algorithm.actor, batch, 0.7)
     assert used == pytest.approx(rates)

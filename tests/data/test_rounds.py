@@ -190,18 +190,6 @@ def test_other_processes_have_nobody_who_ends_rounds_and_episodes():
     assert (alone.rounds, alone.from_standing, alone.learning_starts) == (1, False, 100)
 
 
-def test_a_state_from_before_there_were_rounds_is_taken(quadruped):
-    old = gaits_of(quadruped, steps=40)
-    play(old, 9, begun(old))
-    state = {name: value for name, value in old.state_dict().items() if name not in ("began", "counted")}
-    new = gaits_of(quadruped, steps=40)
-    new.load_state_dict(state)
-    assert new.fitness.tolist() == old.fitness.tolist() and int(new.began) == 0
-    # What else is missing still counts as missing.
-    with pytest.raises(RuntimeError, match="fitness"):
-        new.load_state_dict({name: value for name, value in state.items() if name != "fitness"})
-
-
 def test_the_policy_acts_from_the_end_of_the_warm_up_on(quadruped):
     """The explorer's warm-up lasts until it is ended, and its end is part of its state."""
 

@@ -114,31 +114,3 @@ def test_followers_try_the_fittest_gait(robot, monkeypatch):
     gaits(nobody, returned)
     gaits.fitness.copy_(torch.tensor([0.1, 0.8, 0.0, 0.8, 0.0, 0.8, 0.0, 0.8]))
     assert gaits.followers.tolist() == [False, True] * 4
-
-
-def test_a_search_goes_on_from_the_gaits_of_another(robot):
-    """Each robot tries the gait that it remembered, for twice as long as before; then all descend from those."""
-    first, second = (swinging(robot, robots=64, mutation_share=1.0, steps=40) for _ in range(2))
-    begins, returned = torch.ones(64, dtype=torch.bool), torch.zeros(64)
-    for step in range(35):
-        first(begins if step == 0 else ~begins, returned)
-        returned = returned + torch.rand(64)
-    assert first.final and first.tried
-    second.inherit(first)
-    assert not second.final and int(second.taken) == 0 and not second.tried
-    inherited = {name: getattr(first, f"best_{name}").clone() for name in first.GENES}
-    returned = torch.zeros(64)
-    for step in range(10):  # 0.2 s
-        second(begins if step == 0 else ~begins, returned)
-        for name, values in inherited.items():
-            torch.testing.assert_close(getattr(second, name), values)
-        assert not second.tried
-        returned = returned + torch.rand(64)
-    second(~begins, returned)
-    assert second.fitness.isfinite().all()
-    torch.testing.assert_close(second.fitness, returned / 10)
-    low, high, _ = second.GENES["amplitude"]
-    moved = (second.amplitude[:, None] - inherited["amplitude"][None]).abs().amax(dim=-1).amin(dim=1)
-    again = second.again
-    assert (moved[again] == 0).all() and (moved[~again] > 0).all() and not again.all()
-    assert (moved < 8 * second.MUTATION * (high - low)).all()

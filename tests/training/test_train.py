@@ -14,9 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import gctd3
 from gctd3.config.build import build
-from gctd3.data.swinging import Swinging
 from gctd3.training.checkpoint import Checkpoints
-from gctd3.training.gait_imitation import GaitImitation
 from gctd3.training.saved_configuration import load_settings
 from gctd3.training.settings import TrainSettings
 from gctd3.training.stop_when import COLUMNS, StopWhen
@@ -201,60 +199,6 @@ def test_another_gait_is_looked_for_when_the_policy_that_is_one_fails(tmp_path, 
     said = capsys.readouterr().out
     assert said.count("fittest gait misses the conditions. It begins again") == 1
     assert said.count("The policy begins as the warm-up's fittest gait") == 2
-
-
-def test_gaits_evolve_on_before_others_are_looked_for(tmp_path, capsys, monkeypatch):
-    """Once each, as asked: the second warm-up begins with the gaits of the first, the third with none."""
-    inherited = []
-
-    def inherit(self, other):
-        whole(self, other)
-        assert self is not other and not self.final
-        inherited.append([x.clone() for x in (self.best_amplitude, other.best_amplitude)])
-
-    whole = Swinging.inherit
-    monkeypatch.setattr(Swinging, "inherit", inherit)
-    never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=null", "total_frames=320"]
-    run = train(tmp_path / "run", *IMITATING, *never, "imitation.extensions=1")
-    assert [(row["frames"], row["restarts"]) for row in rows(run)] == [
-        ("80", "0"),
-        ("160", "1"),
-        ("240", "2"),
-        ("320", "2"),
-    ]
-    said = capsys.readouterr().out
-    assert said.count("misses the conditions. Its gaits evolve on with new weights") == 1
-    assert said.index("Its gaits evolve on") < said.index("It begins again")
-    # Each warm-up's fittest gait is evaluated, and the file is the last one's.
-    assert said.count("The fittest gait of the warm-up: ") == 3
-    ((genes, others),) = inherited
-    torch.testing.assert_close(genes, others)
-
-
-def test_gaits_evolve_on_from_the_best_warm_up_so_far(tmp_path, monkeypatch):
-    """The second of three scores best, and a checkpoint holds the whole of it."""
-    scores, asked = iter([1.0, 2.0, 1.5]), []
-    monkeypatch.setattr(StopWhen, "score", lambda self, row: 0.0)
-    best_gaits = GaitImitation.best_gaits
-
-    def ask(self, explorer, row):
-        monkeypatch.setattr(StopWhen, "score", lambda self, row: next(scores))
-        asked.append((explorer.rhythm, best_gaits(self, explorer, row)))
-        monkeypatch.setattr(StopWhen, "score", lambda self, row: 0.0)
-        return asked[-1][1]
-
-    monkeypatch.setattr(GaitImitation, "best_gaits", ask)
-    never = ["stop_when.at_least.velocity_mean=100", "stop_when.restart_after=null", "total_frames=320"]
-    train(tmp_path / "run", *IMITATING, *never, "imitation.extensions=3", "imitation.retries=0")
-    (first, of_first), (second, of_second), (third, of_third) = asked
-    assert of_first is first and of_second is second and of_third is second and third is not second
-    trainer = Recorded.last
-    state = trainer.gait_imitation.state_dict()
-    trainer.gait_imitation.load_state_dict(state, trainer.algorithm, trainer.explorer)
-    again = trainer.gait_imitation.state_dict()
-    assert again["score"] == state["score"] == 2.0
-    for name, value in second.state_dict().items():
-        torch.testing.assert_close(again["gaits"][name], value)
 
 
 def test_the_gait_is_shown_from_the_start_of_episodes(tmp_path):

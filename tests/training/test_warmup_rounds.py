@@ -20,7 +20,6 @@ ROUNDS = [
     "exploration.from_standing=true",
     "imitation.updates=3",
     "imitation.critics_first=2",
-    "imitation.extensions=0",
     "stop_when.confirm=2",
     "stop_when.evaluations=9",
 ]
