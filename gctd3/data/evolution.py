@@ -18,11 +18,10 @@ class Evolution(MotionSearch):
     """Generate gaits that evolve.
 
     Each robot tries a gait for a while, remembers its best one, and most new gaits are mutations of what a few robots
-    remember. Some trials are of a remembered gait, which then counts by the mean. At the end of a round all robots try
-    the fittest few, of which each counts by the mean of these trials. The fitness of a gait is the mean reward of the
-    training while it is tried, less a penalty if the robot falls: what feet that slide or a body that sags cost a
-    policy, they cost a gait. With a least speed a slower gait is less fit by :attr:`SLOW` for each m/s that its mean
-    speed lacks.
+    remember. Some trials are of a remembered gait, which then counts by the mean, and at the end of a round all robots
+    try the fittest few. The fitness of a gait is the mean reward of the training while it is tried, less a penalty if
+    the robot falls: what feet that slide or a body that sags cost a policy, they cost a gait. With a least speed a
+    slower gait is less fit by :attr:`SLOW` for each m/s that its mean speed lacks.
 
     Args:
         num_robots: Number of robots.
@@ -55,6 +54,7 @@ class Evolution(MotionSearch):
     AGAIN = 0.05  # share of trials in which a robot tries its remembered gait again; luck does not stay
     LAST_ROUND = 0.3
     SHOWN = 0.0
+    ALIKE = False  # whether all trials of a last round count alike; else the last ones weigh most
     STARTS = 3  # episodes of each robot in that time: to start from standing is the hardest part
     NOISE = 0.1  # standard deviation of what is added to the actions
 
@@ -158,10 +158,10 @@ class Evolution(MotionSearch):
             tried: Robots whose trial has ended, bool ``[robots]``.
             result: Mean reward of their trial, less penalties, ``[robots]``.
         """
-        # Of a gait that was tried again the mean counts: the last trials weigh most, but all alike in a last round.
+        # Of a gait that was tried again the mean counts, in which the last trials weigh most.
         again = tried & self.again
         share = torch.full_like(result, 0.5)
-        if self.final:
+        if self.final and self.ALIKE:
             self.counted += again
             share = 1.0 / self.counted.clamp(min=1.0)
         self.fitness.copy_(torch.where(again, torch.lerp(self.fitness, result, share), self.fitness))

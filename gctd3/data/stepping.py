@@ -65,6 +65,7 @@ class Stepping(Evolution):
         "phase": (0.0, 1.0, True),  # of a pair of feet, periods
     }
     CYCLIC = ("phase", "sway_phase")
+    ALIKE = True
     DAMPING = 0.05  # of the pseudo-inverse, leg lengths
 
     def __init__(
