@@ -111,7 +111,7 @@ class Explorer(TensorDictModuleBase):
         settings.check_robot(robot, control_dt)
         self.rhythm: Rhythm | MotionSearch | None = None
         steps, share = settings.learning_starts // num_robots, settings.mutation_share
-        rounds, least = settings.rounds, settings.least_speed
+        rounds, least = settings.rounds if stepping else 1, settings.least_speed
         trials = Trials(settings.trial, control_dt, share, steps, limit, least, rounds, settings.from_standing)
         if settings.warmup == "rhythmic":
             self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, share)

@@ -29,7 +29,7 @@ class ExplorationSettings:
             (:class:`.Stepping`, :class:`.CommandedStepping`); ``jumping``: jumps of the commanded heights, which evolve
             too (:class:`.Jumping`); ``uniform``: random actions, each held for a while.
         learning_starts: Frames of the warm-up, of all robots together, before the policy acts.
-        rounds: Rounds of warmup=stepping, equally long. The warm-up is over after the first one whose fittest gait
+        rounds: Rounds of warmup=stepping, equally long; others have one. The warm-up is over after the first one whose fittest gait
             meets the conditions that end the training; it goes on if the policy that begins as this gait misses them.
             Where nothing ends the training, all rounds take place.
         from_standing: Whether robots begin a new episode with each gait that warmup=stepping or swinging tries: then
@@ -67,11 +67,8 @@ class ExplorationSettings:
     def __post_init__(self) -> None:
         if self.learning_starts < 0:
             raise ConfigError(f"learning_starts must be at least 0, got {self.learning_starts}.")
-        if self.rounds < 1 or (self.rounds > 1 and self.warmup != "stepping"):
-            least = "at least 1" if self.rounds < 1 else f"1 for warmup={self.warmup}"
-            raise ConfigError(f"rounds must be {least}, got {self.rounds}.")
-        if self.from_standing and self.warmup not in ("stepping", "swinging"):
-            raise ConfigError(f"from_standing must be false for warmup={self.warmup}: it tries no gaits that evolve.")
+        if self.rounds < 1:
+            raise ConfigError(f"rounds must be at least 1, got {self.rounds}.")
         if self.hold < 1:
             raise ConfigError(f"hold must be at least 1, got {self.hold}.")
         if len(self.frequency) != 2 or not 0 < self.frequency[0] <= self.frequency[1]:
