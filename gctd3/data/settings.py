@@ -29,9 +29,9 @@ class ExplorationSettings:
             (:class:`.Stepping`, :class:`.CommandedStepping`); ``jumping``: jumps of the commanded heights, which evolve
             too (:class:`.Jumping`); ``uniform``: random actions, each held for a while.
         learning_starts: Frames of the warm-up, of all robots together, before the policy acts.
-        rounds: Rounds of warmup=stepping, equally long; others have one. The warm-up is over after the first round whose
-            fittest gait meets the conditions that end the training; it goes on if the policy that begins as this gait
-            misses them. Where nothing ends the training, all rounds take place.
+        rounds: Rounds of warmup=stepping, equally long; others have one. The warm-up is over after the first round
+            whose fittest gait meets the conditions that end the training; it goes on if the policy that begins as this
+            gait misses them. Where nothing ends the training, all rounds take place.
         from_standing: Whether robots begin a new episode with each gait that warmup=stepping or swinging tries: then
             each gait has to start from standing, which is the hardest part.
         hold: Control steps for which warmup=uniform holds an action.
