@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -21,7 +22,12 @@ class Demonstration:
         batch_size: Pairs of an observation and an action in a batch.
         mirror: Reflection of batches, if any.
         device: Device of the batches.
+
+    Attributes:
+        most: Observations that are recorded; the oldest leave first. All are by default.
     """
+
+    most: float = math.inf
 
     def __init__(
         self, batch_size: int, mirror: MirrorAugmentation | None = None, device: torch.device | str = "cpu"
@@ -42,6 +48,8 @@ class Demonstration:
         """Record collected steps, batch size ``[robots, time]``."""
         steps = collected["nodes"], collected["action"]
         self._recorded.append((steps[0].clone(), steps[1].clone()))
+        if len(self._recorded) * collected.numel() > self.most:
+            self._recorded.pop(0)
 
     def keep(self, robots: Tensor) -> None:
         """Keep what some robots did, bool ``[robots]``, to draw from, and forget the rest."""

@@ -10,7 +10,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from gctd3.data.motion_search import MotionSearch
+from gctd3.data.motion_search import WAITS, MotionSearch
+from gctd3.data.settings import LAST_ROUND
 from gctd3.data.trials import NOTHING, Shown, Trials
 
 
@@ -52,7 +53,7 @@ class Evolution(MotionSearch):
     FALL = 1.0  # by which a fall lowers the fitness: about what a brisk walk is worth (reward of a control step)
     SLOW = 2.0  # by which each m/s below the least speed lowers the fitness: twice what reward=walk pays for it
     AGAIN = 0.05  # share of trials in which a robot tries its remembered gait again; luck does not stay
-    LAST_ROUND = 0.3
+    LAST_ROUND = LAST_ROUND
     SHOWN = 0.0
     ALIKE = False  # whether all trials of a last round count alike; else the last ones weigh most
     STARTS = 3  # episodes of each robot in that time: to start from standing is the hardest part
@@ -173,7 +174,7 @@ class Evolution(MotionSearch):
         """Let the robots remember the fittest few gaits, in turn, and nothing else."""
         self.final.fill_(True)
         self.counted.zero_()
-        for name in self._remembered if self._rounds > 1 else ():
+        for name in self._remembered if self.rounds > 1 else ():
             getattr(self, f"before_{name}").copy_(getattr(self, name))
         first = self.fitness.argsort(descending=True)[: self.FINALISTS]
         first = first[self.fitness[first].isfinite()]
@@ -196,8 +197,6 @@ class Evolution(MotionSearch):
             getattr(self, name).copy_(getattr(self, f"before_{name}"))
         self.fitness[known] = means
         self.finalist.fill_(-1)
-        # Trials that have not ended are given up.
-        self.age.fill_(-1)
         super().go_on()
 
     def _let_all_follow(self) -> None:
@@ -222,7 +221,7 @@ class Evolution(MotionSearch):
             self.walked += torch.where(is_init, 0.0, position - self.place)
             self.place.copy_(position)
         over = torch.zeros_like(is_init) if self._trials.from_standing else self.age >= self._steps
-        ended = is_init | over | (self.age < 0)
+        ended = is_init | over | (self.age == -1)
         begins, decides = self.begins, self.decides
         if begins or decides:
             if begins:
@@ -243,7 +242,7 @@ class Evolution(MotionSearch):
             self.lived.copy_(torch.where(is_init, 0, self.lived))
         self.last.copy_(returned)
         self.lived += 1
-        self.age += 1
+        self.age += self.age >= 0
         self.taken += 1
         self.cycles += self._dt * self._unit * self.frequency
         action = self.act({name: getattr(self, name) for name in self.genes}, self.cycles, shown)
@@ -275,8 +274,10 @@ class Evolution(MotionSearch):
         showing = self.SHOWN and self.shows and since > 0 and since % self._showing == 0
         if self.begins or self.decides or showing:
             return torch.ones_like(self.again)
-        over = self.age >= self._steps
-        return over if self._trials.from_standing and bool(over.any()) else None
+        asks = self.age == WAITS
+        if self._trials.from_standing:
+            asks |= self.age >= self._steps
+        return asks if bool(asks.any()) else None
 
     @property
     def shows(self) -> bool:

@@ -111,8 +111,16 @@ class Explorer(TensorDictModuleBase):
         settings.check_robot(robot, control_dt)
         self.rhythm: Rhythm | MotionSearch | None = None
         steps, share = settings.learning_starts // num_robots, settings.mutation_share
-        rounds, least = settings.rounds if stepping else 1, settings.least_speed
-        trials = Trials(settings.trial, control_dt, share, steps, limit, least, rounds, settings.from_standing)
+        trials = Trials(
+            settings.trial,
+            control_dt,
+            share,
+            steps,
+            limit,
+            settings.least_speed,
+            settings.rounds_of(steps * control_dt),
+            settings.from_standing,
+        )
         if settings.warmup == "rhythmic":
             self.rhythm = Rhythm(robot, robots, settings.frequency, control_dt, share)
         elif settings.warmup == "swinging":
@@ -157,6 +165,12 @@ class Explorer(TensorDictModuleBase):
     def round_over(self) -> bool:
         """Return whether a round of the warm-up is over, and another one may follow."""
         return self.warming_up and isinstance(self.rhythm, MotionSearch) and self.rhythm.round_over
+
+    @property
+    def round_frames(self) -> int:
+        """Return the frames of a round of the warm-up."""
+        rounds = self.rhythm.rounds if isinstance(self.rhythm, MotionSearch) else 1
+        return self.settings.learning_starts // rounds
 
     @property
     def anew(self) -> Tensor | None:

@@ -10,6 +10,8 @@ from torch import Tensor
 
 from gctd3.data.trials import NOTHING, Shown, Trials
 
+WAITS = -2  # age of a robot's trial that begins with its next episode
+
 
 class MotionSearch(torch.nn.Module, ABC):
     """Search for a fit open-loop motion while all robots try motions.
@@ -35,10 +37,11 @@ class MotionSearch(torch.nn.Module, ABC):
 
     def __init__(self, num_robots: int, trials: Trials, unit: float) -> None:
         super().__init__()
-        self._dt, self._unit, self._rounds = trials.control_dt, unit, trials.rounds
+        self._dt, self._unit, self.rounds = trials.control_dt, unit, trials.rounds
         self._limit = math.inf if trials.limit is None else trials.limit
         self._round = math.inf if trials.steps is None else trials.steps / trials.rounds
-        # Return of the episode up to the last step, and control steps since the trial began: -1 before the first one.
+        # Return of the episode up to the last step, and control steps since the trial began: -1 before the first one,
+        # WAITS between two rounds.
         self.register_buffer("last", torch.zeros(num_robots))
         self.register_buffer("age", torch.full((num_robots,), -1, dtype=torch.int64))
         # Control steps of the warm-up so far, and whether its end has begun.
@@ -68,14 +71,15 @@ class MotionSearch(torch.nn.Module, ABC):
         """Return the control steps of the rounds that may follow once the winner of one is known, 0 if none may."""
         if not self.final or not 0 < self._round < math.inf:
             return 0
-        left = self._rounds - int(self.taken) / self._round
+        left = self.rounds - int(self.taken) / self._round
         # A round may be a few steps longer, until somebody looks.
         return round(left * self._round) if left > 0.5 else 0
 
     def go_on(self) -> None:
-        """Begin another round, with the motions that are known."""
+        """Begin another round, with the motions that are known; robots wait for a new episode, which they ask for."""
         self.began.copy_(self.taken)
         self.final.fill_(False)
+        self.age.fill_(WAITS)
 
     @abstractmethod
     def forward(

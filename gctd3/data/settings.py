@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from gctd3.robots.robot import Robot
 
 MOST_WORKERS = 10_000
+LAST_ROUND = 0.3  # share of a round of steps or sines, at its end, in which robots try the fittest few gaits
 GAIT_TIMES = (2.0, 4.0)  # s, without and with reflexes
 
 
@@ -28,10 +29,12 @@ class ExplorationSettings:
             that step to and fro, at sizes by the legs' length, or as a velocity is commanded, which evolve too
             (:class:`.Stepping`, :class:`.CommandedStepping`); ``jumping``: jumps of the commanded heights, which evolve
             too (:class:`.Jumping`); ``uniform``: random actions, each held for a while.
-        learning_starts: Frames of the warm-up, of all robots together, before the policy acts.
-        rounds: Rounds of warmup=stepping, equally long; others have one. The warm-up is over after the first round
-            whose fittest gait meets the conditions that end the training; it goes on if the policy that begins as this
-            gait misses them. Where nothing ends the training, all rounds take place.
+        learning_starts: Frames of the warm-up, of all robots together, before the policy acts; of all its rounds, if it
+            has several.
+        rounds: Rounds of warmup=stepping, equally long, at most: so many that robots can try the last gaits of each for
+            a whole trial. The warm-up goes on for another round while the fittest gait of the last one, or the policy
+            that begins as it, misses conditions that end the training. One round takes place where nothing ends the
+            training, where a gait cannot be evaluated without a policy, and with collectors in other processes.
         from_standing: Whether robots begin a new episode with each gait that warmup=stepping or swinging tries: then
             each gait has to start from standing, which is the hardest part.
         hold: Control steps for which warmup=uniform holds an action.
@@ -88,7 +91,12 @@ class ExplorationSettings:
     @property
     def in_workers(self) -> ExplorationSettings:
         """Return the settings of explorers in other processes, where nobody ends rounds and episodes for them."""
-        return replace(self, rounds=1, from_standing=False)
+        frames = self.learning_starts // (self.rounds if self.warmup == "stepping" else 1)
+        return replace(self, learning_starts=frames, rounds=1, from_standing=False)
+
+    def rounds_of(self, duration: float) -> int:
+        """Return the rounds of a warm-up of so many seconds, each of which ends with a whole trial or more."""
+        return max(1, min(self.rounds, int(LAST_ROUND * duration / self.trial))) if self.warmup == "stepping" else 1
 
     @property
     def answers(self) -> bool:

@@ -105,8 +105,10 @@ class Evaluations:
         tqdm.write(described(again, stop_when.confirm, sure))
         return sure
 
-    def gait_suffices(self, gaits: MotionSearch, frames: int) -> bool:
-        """Evaluate the fittest gait of a round of the warm-up; return whether it meets what would end the training.
+    def gait_misses(self, gaits: MotionSearch, frames: int) -> bool:
+        """Evaluate the fittest gait of a round of the warm-up; return whether it misses what would end the training.
+
+        Where nothing would, or a gait cannot be evaluated without a policy, none does.
 
         Args:
             gaits: Gaits of the warm-up.
@@ -120,7 +122,7 @@ class Evaluations:
             tqdm.write(f"The fittest gait after {frames:,} frames: {figures(metrics)}. It misses {', '.join(missed)}.")
         else:
             self._record_gait(metrics)
-        return not missed
+        return bool(missed)
 
     def _evaluate_gait(self, rhythm: Module | None) -> None:
         """Evaluate the warm-up's fittest gait without a policy, to see later what learning has added."""

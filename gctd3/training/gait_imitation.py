@@ -22,14 +22,18 @@ from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.tasks.task import Task
 from gctd3.training.settings import TrainSettings
 
+MOST = 20_000  # observations of robots that try the last gaits: about a quarter of a minute of 64 robots
+SHOWN = 0.5  # share of the batches, before the first update, that are drawn from those that follow the fittest one
+
 
 class GaitImitation:
     """Let the algorithm of a training imitate the fittest gait of the warm-up, if its settings ask for it.
 
-    A policy with a clock imitates the gait at every observation of the replay. One without a clock learns it from what
-    robots observe and do while they follow it, and one that jumps at what they observe then. A policy that begins as
-    that of another run is held to that policy, so that critics, which first have to learn what is new, do not make it
-    forget to walk.
+    A policy with a clock begins as the gait at all that robots observe in the warm-up, half of the time at what those
+    observe that follow it, and imitates it at every observation of the replay from then on. One without a clock learns
+    it from what robots observe and do while they follow it, and one that jumps at what they observe then. One that
+    begins as that of another run is held to that policy, so that critics, which first have to learn what is new, do not
+    make it forget to walk.
 
     Args:
         settings: Settings of the training.
@@ -41,6 +45,8 @@ class GaitImitation:
     def __init__(self, settings: TrainSettings, task: Task, replay: Replay, device: torch.device) -> None:
         self.settings, self.task, self.replay = settings, task, replay
         self.demonstration = Demonstration(settings.replay.batch_size, replay.mirror, device)
+        if task.gait is not None and settings.exploration.warmup != "jumping":
+            self.demonstration.most = MOST
         self._asked = bool(settings.imitation.updates)
         self._initial: TensorDictModuleBase | None = None
 
@@ -55,14 +61,13 @@ class GaitImitation:
         return gait if asked and isinstance(gait, MotionSearch) else None
 
     def demonstrates(self, explorer: Explorer) -> bool:
-        """Return whether robots follow the fittest gait from the next step on, for a policy to learn it from them.
-
-        So does a policy without a clock, or one that jumps.
-        """
+        """Return whether robots follow the fittest gait from the next step on, for a policy to learn it from them."""
         gait = self.searched(explorer)
-        if gait is None or not (self.task.gait is None or isinstance(gait, Jumping)):
-            return False
-        return gait.shows or gait.decides
+        return gait is not None and (gait.shows or gait.decides)
+
+    def _only_shown(self, gait: object) -> bool:
+        """Return whether a gait is known only where robots follow it: without a clock, or for a jump."""
+        return self.task.gait is None or isinstance(gait, Jumping)
 
     def begin(self, algorithm: Algorithm, explorer: Explorer) -> float | None:
         """Let the actor act as the fittest gait of the warm-up, unless it began as the policy of another run.
@@ -76,10 +81,21 @@ class GaitImitation:
         imitation = algorithm.imitation
         if imitation is None or self._initial is not None:
             return None
-        sample = imitation.sample or self.replay.sample
+        sample = imitation.sample or self._everywhere
         difference = imitation.begin(algorithm.actor, sample, self.settings.algo.learning_rate)
         algorithm.average_from_actor()
+        if imitation.sample is None:
+            # From now on the replay has it.
+            self.demonstration.clear()
         return difference
+
+    def _everywhere(self) -> TensorDictBase:
+        """Draw a batch from the replay, or as often from what robots observed that followed the gait.
+
+        These are few among all that tried some gait, and what the policy will observe is like theirs.
+        """
+        shown = len(self.demonstration) and float(torch.rand(())) < SHOWN
+        return self.demonstration.sample() if shown else self.replay.sample()
 
     def follow(self, algorithm: Algorithm, explorer: Explorer) -> None:
         """Let the algorithm's updates imitate the gait or policy; needed again in a resumed training."""
@@ -89,7 +105,7 @@ class GaitImitation:
         if self._initial is not None:
             algorithm.imitation = Imitation(settings, partial(_action, self._initial))
             return
-        sample = self.demonstration.sample if len(self.demonstration) else None
+        sample = self.demonstration.sample if self._only_shown(gait) and len(self.demonstration) else None
         if task.gait is not None and isinstance(gait, MotionSearch) and gait.tried:
             # What the gait does at the observed time, without the noise.
             algorithm.imitation = Imitation(settings, ByClock(gait, cast(SimulatedTask, task)).action, sample)

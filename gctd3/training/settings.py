@@ -140,6 +140,11 @@ class TrainSettings:
         return self.env.num_envs * self.batch_steps
 
     @property
+    def exploration_here(self) -> ExplorationSettings:
+        """Return the settings of exploration as the collector follows them."""
+        return self.exploration.in_workers if isinstance(self.collector, ProcessSettings) else self.exploration
+
+    @property
     def batch_updates(self) -> int:
         """Return the updates of the networks after each collected batch."""
         return self.gradient_steps * self.collector.chunk
@@ -151,11 +156,7 @@ class TrainSettings:
             raise ConfigError(
                 f"total_frames must be at least {product} = {self.batch_frames}, got {self.total_frames}."
             )
-        if self.exploration.learning_starts > self.total_frames:
-            raise ConfigError(
-                f"exploration.learning_starts must be at most total_frames = {self.total_frames}, got "
-                f"{self.exploration.learning_starts}: the training would end before it learns."
-            )
+        self._check_warmup(self.exploration_here.rounds)
         # The newest n_step of a robot cannot be drawn yet, the oldest history - 1 no longer.
         least = self.env.num_envs * (self.task.history + self.replay.n_step)
         if self.replay.storage == "frames" and self.replay.buffer_size < least:
@@ -168,6 +169,16 @@ class TrainSettings:
             raise ConfigError(
                 f"replay.buffer_size must hold a batch: of {self.replay.buffer_size} of {self.env.num_envs} robots "
                 f"{drawn * self.env.num_envs} can be drawn, replay.batch_size is {self.replay.batch_size}."
+            )
+
+    def _check_warmup(self, rounds: int) -> None:
+        """Raise a :class:`.ConfigError` if the first of so many rounds of the warm-up takes all frames."""
+        frames = self.exploration_here.learning_starts
+        if frames // rounds > self.total_frames:
+            first = f", {frames // rounds} of them in the first of {rounds} rounds" if rounds > 1 else ""
+            raise ConfigError(
+                f"exploration.learning_starts must be at most total_frames = {self.total_frames}, got {frames}{first}: "
+                "the training would end before it learns."
             )
 
     def setup(self, robot: Robot | None = None) -> Setup:
@@ -197,6 +208,8 @@ class TrainSettings:
                 f"simulated tasks, got {', '.join(name for name in RECORDED if name in self.stop_when.names)}."
             )
         self.exploration.check_robot(task.robot, task.control_dt)
+        steps = self.exploration_here.learning_starts // self.env.num_envs
+        self._check_warmup(self.exploration_here.rounds_of(steps * task.control_dt))
         if self.exploration.warmup in ("stepping", "swinging", "jumping") and self.env.backend == "library":
             raise ConfigError(
                 f"exploration.warmup must be rhythmic or uniform for {task.name}, got {self.exploration.warmup}: "

@@ -103,14 +103,14 @@ class Trainer:
     def _new_learner(self) -> tuple[Algorithm, Explorer]:
         settings, task = self.settings, self.setup.task
         algorithm = settings.algo.build(self.setup.architecture(self.device))
-        robots, exploration = settings.env.num_envs, settings.exploration
+        robots, exploration = settings.env.num_envs, settings.exploration_here
         return algorithm, Explorer.of_task(task, algorithm.actor, robots, exploration)
 
     def _new_watch(self) -> Watch:
         settings, frames = self.settings, self.settings.give_up.reward_frames
         # Tasks of other libraries have rewards that somebody has learnt from.
         judged = frames is not None and "film" in self.setup.task.abilities
-        begin = max(frames, settings.exploration.learning_starts) if frames is not None and judged else None
+        begin = max(frames, settings.exploration_here.learning_starts) if frames is not None and judged else None
         return Watch(settings.give_up, settings.env.num_envs, begin)
 
     def _begin_from_a_run(self) -> None:
@@ -122,7 +122,7 @@ class Trainer:
 
     @property
     def _first_evaluation(self) -> int:
-        return max(self.settings.evaluation.every, self.settings.exploration.learning_starts)
+        return max(self.settings.evaluation.every, self.settings.exploration_here.learning_starts)
 
     @property
     def finished(self) -> bool:
@@ -187,7 +187,7 @@ class Trainer:
         if demonstrates:
             self.gait_imitation.demonstration.add(collected)
         if self.explorer.round_over:
-            self._end_round(collected.numel())
+            self._end_round(now.frames + collected.numel())
         if isinstance(self.collector, InlineCollector) and (robots := self._anew()) is not None:
             self.collector.begin_anew(collected, robots)
         self.replay.extend(collected)
@@ -216,7 +216,7 @@ class Trainer:
         self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
         line.evaluated(self.evaluations.figures(row, now.diverged))
         fails = not self._spent and self.gait_imitation.failed(self.algorithm, now.in_a_row)
-        if fails and (left := self.explorer.resume_warmup()):
+        if fails and self._may_warm_up_on(now.frames) and (left := self.explorer.resume_warmup()):
             self._warm_up_on(line, left)
         elif fails and self.gait_imitation.gives_up(now.restarts):
             self._begin_again(line, FAILS)
@@ -227,18 +227,23 @@ class Trainer:
 
     def _anew(self) -> Tensor | None:
         """Return which robots begin a new episode, because the warm-up's search asks for it."""
-        asks = self.settings.exploration.from_standing or self.gait_imitation.searched(self.explorer) is not None
-        return self.explorer.anew if asks else None
+        exploration = self.settings.exploration_here
+        always = exploration.from_standing or exploration.rounds > 1
+        return self.explorer.anew if always or self.gait_imitation.searched(self.explorer) is not None else None
 
-    def _end_round(self, collected: int) -> None:
-        """End the warm-up if its fittest gait meets the conditions that end the training, or let gaits evolve on."""
-        now, gaits = self.counters, cast(MotionSearch, self.explorer.rhythm)
-        if self.evaluations.gait_suffices(gaits, now.frames + collected):
-            self.explorer.end_warmup()
-            now.next_evaluation = now.frames + collected
-        else:
+    def _may_warm_up_on(self, frames: int) -> bool:
+        """Return whether another round of the warm-up, after so many frames, leaves some to learn in."""
+        return frames + self.explorer.round_frames < self.settings.total_frames
+
+    def _end_round(self, frames: int) -> None:
+        """End the warm-up, or let gaits evolve on if the fittest one misses conditions that end the training."""
+        gaits = cast(MotionSearch, self.explorer.rhythm)
+        if self._may_warm_up_on(frames) and self.evaluations.gait_misses(gaits, frames):
             gaits.go_on()
             self.gait_imitation.demonstration.clear()
+        else:
+            self.explorer.end_warmup()
+            self.counters.next_evaluation = frames
 
     def _warm_up_on(self, line: ProgressLine, frames: int) -> None:
         """Go on with the warm-up for so many frames at most; a new policy then begins as its fittest gait."""

@@ -75,6 +75,28 @@ def test_a_round_ends_with_the_fittest_few_and_another_one_searches_on(quadruped
     assert over == [*(19 * [False]), True, *(20 * [False])]
 
 
+def test_between_two_rounds_robots_wait_for_a_new_episode(quadruped):
+    """They ask for it, since a clock has gone on, and no gait is tried that did not begin with it."""
+    gaits = gaits_of(quadruped, steps=40, rounds=2)
+    returned = play(gaits, 19, begun(gaits))
+    gaits.go_on()
+    known = gaits.fitness.clone()
+    assert gaits.anew.tolist() == ROBOTS * [True]
+    returned = play(gaits, 3, returned)
+    ends = torch.arange(ROBOTS) < 3
+    assert gaits.fitness.tolist() == known.tolist() and gaits.anew.all()
+    gaits(ends, torch.where(ends, 0.0, returned))
+    assert gaits.anew.tolist() == (~ends).tolist() and gaits.age[ends].tolist() == [1, 1, 1]
+    assert gaits.cycles[ends].unique().numel() == gaits.frequency[ends].unique().numel()
+
+
+def test_a_round_is_long_enough_for_a_trial_of_its_last_gaits():
+    """Of 40 s and trials of 4 s: in three rounds the last three tenths of each hold one, in four they do not."""
+    settings = ExplorationSettings(warmup="stepping", gait_time=4.0, rounds=4)
+    assert [settings.rounds_of(seconds) for seconds in (1.0, 26.0, 27.0, 40.0, 54.0, 1e4)] == [1, 1, 2, 3, 4, 4]
+    assert replace(settings, warmup="swinging").rounds_of(1e4) == 1
+
+
 def test_what_a_round_has_found_is_known_in_the_next_one(quadruped):
     """Each robot remembers its own gait again, and of the fittest few how they did when they were tried again."""
     gaits = gaits_of(quadruped, steps=40, rounds=2)
@@ -207,9 +229,10 @@ def test_gaits_that_follow_a_command_have_one_round(quadruped):
 
 
 def test_other_processes_have_nobody_who_ends_rounds_and_episodes():
+    """They have one round, as long as one of several."""
     settings = ExplorationSettings(warmup="stepping", learning_starts=100, rounds=4, from_standing=True)
     alone = settings.in_workers
-    assert (alone.rounds, alone.from_standing, alone.learning_starts) == (1, False, 100)
+    assert (alone.rounds, alone.from_standing, alone.learning_starts) == (1, False, 25)
 
 
 def test_the_policy_acts_from_the_end_of_the_warm_up_on(quadruped):

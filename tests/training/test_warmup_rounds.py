@@ -8,7 +8,7 @@ from finished import BRIEF
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 from resuming import assert_same_run, stopped
-from running import command, rows, train
+from running import command, rows, tiny, train
 
 # Two rounds of 10 of 20 control steps, of four robots.
 ROUNDS = [
@@ -70,10 +70,25 @@ def test_gaits_evolve_on_if_the_policy_that_begins_as_one_fails(tmp_path, capsys
 
 
 def test_trainings_that_nothing_ends_have_equal_warm_ups(tmp_path, capsys):
-    """Comparisons give every policy as much of it, whatever its gaits do."""
-    run = train(tmp_path, *ROUNDS, *ANY, "stop_when.evaluations=null")
+    """Comparisons give every policy one round, whatever its gaits do."""
+    run = train(tmp_path, *ROUNDS, *NONE, "stop_when.evaluations=null")
     assert "It misses" not in capsys.readouterr().out
-    assert min(updates(run)) == 80
+    assert min(updates(run)) == 40
+
+
+def test_a_warm_up_leaves_frames_to_learn_in(tmp_path, capsys):
+    """Rounds end where another one would take what is left."""
+    run = train(tmp_path, *ROUNDS, *NONE, "exploration.rounds=4", "exploration.learning_starts=320", "total_frames=240")
+    assert capsys.readouterr().out.count("It misses") == 1
+    assert min(updates(run)) == 160
+
+
+def test_a_first_round_beyond_the_last_frame_is_refused(tmp_path, capsys):
+    line = [*ROUNDS, "exploration.learning_starts=600"]
+    assert command("train", *tiny(tmp_path / "run", *line, without=["exploration.learning_starts"])) == 2
+    said = capsys.readouterr().err
+    assert "must be at most total_frames = 240, got 600, 300 of them in the first of 2 rounds" in said
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.nightly
@@ -87,7 +102,7 @@ def test_stopped_after_a_round(tmp_path, bound, frames):
 
 
 def test_robots_with_free_bases_have_rounds_as_long_as_a_search():
-    """Every robot's rounds divide its warm-up, and hold at least ten trials of each robot."""
+    """Every robot's rounds hold four trials of each robot, or more."""
     robots = sorted(path.stem for path in (Path(__file__).parents[2] / "conf/robot").glob("*.yaml"))
     seen = set()
     with initialize_config_module("gctd3.conf", version_base="1.3"):
