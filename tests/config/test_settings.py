@@ -154,7 +154,7 @@ def test_the_papers_hyperparameters_are_those_of_its_table():
     assert recipe_of("experiment=paper") == {**BEFORE, **of_paper}
 
 
-@pytest.mark.parametrize("arguments", [["task=halfcheetah"], ["robot=biped_planar"]])
+@pytest.mark.parametrize("arguments", [["task=halfcheetah"], ["task=walker2d"]])
 def test_no_other_robot_has_the_bipeds_recipe(arguments):
     of_robot = recipe_of(*arguments)
     assert {**of_robot, "learning_starts": 10_000} == BEFORE

@@ -64,8 +64,8 @@ def test_what_differs_is_named_with_its_default(config):
         ("robot=go2 reward@evaluation.reward=paper", []),
         ("robot=go2 stop_when=walk stop_when=never", []),
         (
-            "robot=biped_planar stop_when=walk stop_when.at_least={} stop_when.confirm=1 stop_when.restart_after=9",
-            ["evaluations=2"],
+            "robot=go2 stop_when=walk stop_when.at_least={} stop_when.at_most={} stop_when.restart_after=9",
+            ["confirm=20"],
         ),
     ],
 )
