@@ -101,6 +101,23 @@ def test_stopped_after_a_round(tmp_path, bound, frames):
     assert_same_run(whole, part)
 
 
+@pytest.mark.nightly
+def test_stopped_in_a_round_that_follows_a_policy(tmp_path, monkeypatch):
+    """The policy of the first round misses from other starts what it met; the run is stopped in the second round."""
+    speeds = iter([-200.0, 0.0, -200.0, 0.0])
+
+    def again(*_):
+        return {"return_mean": 0.0, "success_rate": 0.0, "velocity_mean": next(speeds)}
+
+    monkeypatch.setattr("gctd3.training.evaluations.confirm", again)
+    settings = [*ROUNDS, *ANY, "stop_when.at_least.velocity_mean=-100", "stop_when.evaluations=1"]
+    whole = train(tmp_path / "whole", *settings)
+    part = stopped(tmp_path / "part", 64, *settings)
+    assert len(rows(part)) == 1
+    assert command("train", f"resume={part}") == 0
+    assert_same_run(whole, part)
+
+
 def test_robots_with_free_bases_have_rounds_as_long_as_a_search():
     """Every robot's rounds hold four trials of each robot, or more."""
     robots = sorted(path.stem for path in (Path(__file__).parents[2] / "conf/robot").glob("*.yaml"))
