@@ -8,6 +8,7 @@ from typing import Any, cast
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gctd3.algorithms.base import Algorithm
@@ -20,6 +21,7 @@ from gctd3.data.motion_search import MotionSearch
 from gctd3.data.replay import Replay
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.tasks.task import Task
+from gctd3.training.evaluations import Evaluations
 from gctd3.training.settings import TrainSettings
 
 MOST = 20_000  # observations of robots that try the last gaits: about a quarter of a minute of 64 robots
@@ -64,6 +66,42 @@ class GaitImitation:
         """Return whether robots follow the fittest gait from the next step on, for a policy to learn it from them."""
         gait = self.searched(explorer)
         return gait is not None and (gait.shows or gait.decides)
+
+    def anew(self, explorer: Explorer) -> Tensor | None:
+        """Return which robots begin a new episode, bool ``[robots]``, because the search for gaits asks for it."""
+        exploration = self.settings.exploration_here
+        always = exploration.from_standing or exploration.rounds > 1
+        return explorer.anew if always or self.searched(explorer) is not None else None
+
+    def ends_warmup(self, explorer: Explorer, evaluations: Evaluations, frames: int) -> bool:
+        """End the warm-up after one of its rounds, or let gaits evolve on if the fittest one misses conditions.
+
+        Args:
+            explorer: The explorer, whose round is over.
+            evaluations: Evaluations of the training.
+            frames: Frames so far.
+
+        Returns:
+            Whether the warm-up is over.
+        """
+        gaits = cast(MotionSearch, explorer.rhythm)
+        if self._leaves_frames(explorer, frames) and evaluations.gait_misses(gaits, frames):
+            gaits.go_on()
+            self.demonstration.clear()
+            return False
+        explorer.end_warmup()
+        return True
+
+    def resumes_warmup(self, explorer: Explorer, frames: int) -> int:
+        """Let gaits evolve on after a policy that began as one; return for how many frames at most, 0 if none."""
+        left = explorer.resume_warmup() if self._leaves_frames(explorer, frames) else 0
+        if left:
+            self.demonstration.clear()
+        return left
+
+    def _leaves_frames(self, explorer: Explorer, frames: int) -> bool:
+        """Return whether another round of the warm-up, after so many frames, leaves some to learn in."""
+        return frames + explorer.round_frames < self.settings.total_frames
 
     def _only_shown(self, gait: object) -> bool:
         """Return whether a gait is known only where robots follow it: without a clock, or for a jump."""
@@ -149,12 +187,12 @@ class GaitImitation:
 
 
 @torch.no_grad()
-def _action(policy: TensorDictModuleBase, seen: TensorDictBase) -> torch.Tensor:
+def _action(policy: TensorDictModuleBase, seen: TensorDictBase) -> Tensor:
     with set_exploration_type(ExplorationType.DETERMINISTIC):
-        action: torch.Tensor = policy(seen.select(*policy.in_keys).to("cpu"))["action"]
+        action: Tensor = policy(seen.select(*policy.in_keys).to("cpu"))["action"]
     return action
 
 
-def _demonstrated(seen: TensorDictBase) -> torch.Tensor:
-    action: torch.Tensor = seen["action"]
+def _demonstrated(seen: TensorDictBase) -> Tensor:
+    action: Tensor = seen["action"]
     return action

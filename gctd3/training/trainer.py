@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -26,7 +26,6 @@ from gctd3.data.exploration import Explorer
 from gctd3.data.finite import check_collected, check_losses
 from gctd3.data.inline_collector import InlineCollector
 from gctd3.data.mirror_augmentation import MirrorAugmentation
-from gctd3.data.motion_search import MotionSearch
 from gctd3.data.replay import Replay
 from gctd3.envs.factory import EnvRecipe
 from gctd3.errors import NumericalError, TrainingError, WorkerError
@@ -187,8 +186,11 @@ class Trainer:
         if demonstrates:
             self.gait_imitation.demonstration.add(collected)
         if self.explorer.round_over:
-            self._end_round(now.frames + collected.numel())
-        if isinstance(self.collector, InlineCollector) and (robots := self._anew()) is not None:
+            frames = now.frames + collected.numel()
+            if self.gait_imitation.ends_warmup(self.explorer, self.evaluations, frames):
+                now.next_evaluation = frames
+        robots = self.gait_imitation.anew(self.explorer)
+        if robots is not None and isinstance(self.collector, InlineCollector):
             self.collector.begin_anew(collected, robots)
         self.replay.extend(collected)
         metrics: dict[str, Tensor] = {}
@@ -216,7 +218,7 @@ class Trainer:
         self.log.scalars({f"train/{name}": float(value) for name, value in metrics.items()}, now.frames)
         line.evaluated(self.evaluations.figures(row, now.diverged))
         fails = not self._spent and self.gait_imitation.failed(self.algorithm, now.in_a_row)
-        if fails and self._may_warm_up_on(now.frames) and (left := self.explorer.resume_warmup()):
+        if fails and (left := self.gait_imitation.resumes_warmup(self.explorer, now.frames)):
             self._warm_up_on(line, left)
         elif fails and self.gait_imitation.gives_up(now.restarts):
             self._begin_again(line, FAILS)
@@ -225,32 +227,11 @@ class Trainer:
         elif now.frames - now.promising >= (settings.stop_when.restart_after or math.inf) and not self._spent:
             self._begin_again(line, f"no evaluation in {now.frames - now.promising:,} met all conditions.")
 
-    def _anew(self) -> Tensor | None:
-        """Return which robots begin a new episode, because the warm-up's search asks for it."""
-        exploration = self.settings.exploration_here
-        always = exploration.from_standing or exploration.rounds > 1
-        return self.explorer.anew if always or self.gait_imitation.searched(self.explorer) is not None else None
-
-    def _may_warm_up_on(self, frames: int) -> bool:
-        """Return whether another round of the warm-up, after so many frames, leaves some to learn in."""
-        return frames + self.explorer.round_frames < self.settings.total_frames
-
-    def _end_round(self, frames: int) -> None:
-        """End the warm-up, or let gaits evolve on if the fittest one misses conditions that end the training."""
-        gaits = cast(MotionSearch, self.explorer.rhythm)
-        if self._may_warm_up_on(frames) and self.evaluations.gait_misses(gaits, frames):
-            gaits.go_on()
-            self.gait_imitation.demonstration.clear()
-        else:
-            self.explorer.end_warmup()
-            self.counters.next_evaluation = frames
-
     def _warm_up_on(self, line: ProgressLine, frames: int) -> None:
         """Go on with the warm-up for so many frames at most; a new policy then begins as its fittest gait."""
         line.write(f"After {self.counters.frames:,} frames: {FAILS} Gaits evolve on; the best policy is kept.")
         self.algorithm = self.settings.algo.build(self.setup.architecture(self.device))
         self.explorer.actor = self.algorithm.actor
-        self.gait_imitation.demonstration.clear()
         self.counters.next_evaluation = self.counters.frames + frames
         self.evaluations.forget_gait()
 
