@@ -41,6 +41,7 @@ class Evolution(MotionSearch):
     again: Tensor
     finalist: Tensor
     counted: Tensor
+    chosen: Tensor
     walked: Tensor
     place: Tensor
 
@@ -83,6 +84,8 @@ class Evolution(MotionSearch):
         self.register_buffer("lived", torch.zeros(num_robots, dtype=torch.int64))
         self.register_buffer("again", torch.zeros(num_robots, dtype=torch.bool))
         self.register_buffer("finalist", torch.full((num_robots,), -1, dtype=torch.int64))
+        # The one of them that is to count as the fittest, -1 for the one with the best mean.
+        self.register_buffer("chosen", torch.tensor(-1))
         # Trials of each robot in a last round.
         self.register_buffer("counted", torch.zeros(num_robots))
         for name in self._remembered if trials.rounds > 1 else ():
@@ -173,6 +176,7 @@ class Evolution(MotionSearch):
     def _begin_last_round(self) -> None:
         """Let the robots remember the fittest few gaits, in turn, and nothing else."""
         self.final.fill_(True)
+        self.chosen.fill_(-1)
         self.counted.zero_()
         for name in self._remembered if self.rounds > 1 else ():
             getattr(self, f"before_{name}").copy_(getattr(self, name))
@@ -191,13 +195,24 @@ class Evolution(MotionSearch):
 
     def go_on(self) -> None:
         """Begin another round, in which robots remember what they did; how fit finalists are is known better now."""
-        known = sorted(set(self.finalist.tolist()))
+        known = self.finalists
         means = torch.stack([self.fitness[self.finalist == one].mean() for one in known])
         for name in self._remembered:
             getattr(self, name).copy_(getattr(self, f"before_{name}"))
         self.fitness[known] = means
         self.finalist.fill_(-1)
         super().go_on()
+
+    @property
+    def finalists(self) -> list[int]:
+        """Return the gaits of the last round, the fittest first, each by the number of a robot."""
+        if not self.final:
+            return []
+        return list(dict.fromkeys(self.finalist[self._means.argsort(descending=True)].tolist()))
+
+    def choose(self, finalist: int | None) -> None:
+        """Let a gait of the last round count as the fittest one; ``None`` for the one with the best mean."""
+        self.chosen.fill_(-1 if finalist is None else finalist)
 
     def _let_all_follow(self) -> None:
         """Let all robots remember the fittest gait, and nothing else."""
@@ -253,9 +268,16 @@ class Evolution(MotionSearch):
         """Return a robot that remembers the fittest gait."""
         if not self.final:
             return int(self.fitness.argmax())
+        if int(self.chosen) >= 0:
+            return int((self.finalist == self.chosen).nonzero()[0])
+        return int(self._means.argmax())
+
+    @property
+    def _means(self) -> Tensor:
+        """Return for each robot the mean fitness of all that try the same finalist."""
         tried_by = torch.bincount(self.finalist, minlength=len(self.finalist))
         sums = torch.zeros_like(self.fitness).index_add_(0, self.finalist, self.fitness)
-        return int((sums / tried_by)[self.finalist].argmax())
+        return (sums / tried_by)[self.finalist]
 
     @property
     def begins(self) -> bool:

@@ -114,6 +114,14 @@ class MotionSearch(torch.nn.Module, ABC):
         """Return which robots try the winner while :attr:`shows` holds, bool ``[robots]``."""
 
     @property
+    def finalists(self) -> list[int]:
+        """Return motions of the last round among which one can be chosen, the fittest first; none by default."""
+        return []
+
+    def choose(self, finalist: int | None) -> None:
+        """Let a motion of the last round count as the fittest one; ``None`` for the one with the best mean."""
+
+    @property
     def decides(self) -> bool:
         """Return whether in the next step all robots give up their trials and begin to try the winner."""
         return False

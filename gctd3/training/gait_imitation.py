@@ -92,6 +92,13 @@ class GaitImitation:
         explorer.end_warmup()
         return True
 
+    def choose(self, explorer: Explorer, evaluations: Evaluations, frames: int) -> None:
+        """Choose the gait of the last round that a policy begins as, as after the others, see :meth:`ends_warmup`."""
+        gaits = explorer.rhythm
+        several = isinstance(gaits, MotionSearch) and gaits.rounds > 1
+        if several and self._initial is None and not evaluations.knows_gait:
+            evaluations.gait_misses(cast(MotionSearch, gaits), frames)
+
     def resumes_warmup(self, explorer: Explorer, frames: int) -> int:
         """Let gaits evolve on after a policy that began as one; return for how many frames at most, 0 if none."""
         left = explorer.resume_warmup() if self._leaves_frames(explorer, frames) else 0

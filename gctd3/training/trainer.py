@@ -196,6 +196,7 @@ class Trainer:
         metrics: dict[str, Tensor] = {}
         if not self.explorer.warming_up and self.replay.ready:
             if not self.algorithm.updates:
+                self.gait_imitation.choose(self.explorer, self.evaluations, now.frames + collected.numel())
                 difference = self.gait_imitation.begin(self.algorithm, self.explorer)
                 if difference is not None:
                     alike = f"mean squared difference {difference:.1e}"

@@ -75,6 +75,26 @@ def test_a_round_ends_with_the_fittest_few_and_another_one_searches_on(quadruped
     assert over == [*(19 * [False]), True, *(20 * [False])]
 
 
+def test_one_of_the_last_gaits_can_be_chosen(quadruped):
+    """The fittest by the mean unless one is chosen; with eight robots each of the eight finalists has one."""
+    gaits = gaits_of(quadruped, steps=40, rounds=2)
+    play(gaits, 19, begun(gaits))
+    ranked = [gaits.finalist.tolist()[i] for i in gaits.fitness.argsort(descending=True).tolist()]
+    assert gaits.finalists == ranked
+    for one in (None, *ranked):
+        gaits.choose(one)
+        robot = gaits.finalist.tolist().index(ranked[0] if one is None else one)
+        assert gaits.followers.nonzero().tolist() == [[robot]]
+        assert gaits._fittest(1)["stride"].tolist() == [gaits.best_stride[robot].item()]
+    # The choice is part of the state, and holds for this round.
+    other = gaits_of(quadruped, steps=40, rounds=2)
+    other.load_state_dict(gaits.state_dict())
+    assert other.followers.tolist() == gaits.followers.tolist()
+    gaits.go_on()
+    assert gaits.finalists == []
+    assert gaits._fittest(1)["stride"].tolist() == [gaits.best_stride[int(gaits.fitness.argmax())].item()]
+
+
 def test_between_two_rounds_robots_wait_for_a_new_episode(quadruped):
     """They ask for it, since a clock has gone on, and no gait is tried that did not begin with it."""
     gaits = gaits_of(quadruped, steps=40, rounds=2)
