@@ -32,9 +32,9 @@ class ExplorationSettings:
         learning_starts: Frames of the warm-up, of all robots together, before the policy acts; of all its rounds, if it
             has several.
         rounds: Rounds of warmup=stepping, equally long, at most: so many that robots can try the last gaits of each for
-            a whole trial. The warm-up goes on for another round while the fittest gait of the last one, or the policy
-            that begins as it, misses conditions that end the training. One round takes place where nothing ends the
-            training, where a gait cannot be evaluated without a policy, and with collectors in other processes.
+            a whole trial. The warm-up goes on for another round while the fittest gaits of the last one, or the policy
+            that begins as one of them, miss conditions that end the training. One round takes place where nothing ends
+            the training, where gaits cannot be evaluated without a policy, and with collectors in other processes.
         from_standing: Whether robots begin a new episode with each gait that warmup=stepping or swinging tries: then
             each gait has to start from standing, which is the hardest part.
         hold: Control steps for which warmup=uniform holds an action.
