@@ -135,7 +135,7 @@ def test_robots_are_those_of_the_commands():
 
     env = gymnasium.make(VELOCITY, robot="biped_planar", overrides=["task.commands.velocity.begin=[0.4,1.0]"]).unwrapped
     task = env._one.simulation.task
-    assert task.robot.path.stem == "biped_planar" and task.terms["tilt"].weight == -0.5
+    assert task.robot.path.stem == "biped_planar" and task.terms["tilt"].weight == -1.0
     assert "velocity_width" in task.memory.remembered
     assert not GlobalHydra.instance().is_initialized()
 
