@@ -22,17 +22,17 @@ class Demonstration:
         batch_size: Pairs of an observation and an action in a batch.
         mirror: Reflection of batches, if any.
         device: Device of the batches.
-
-    Attributes:
-        most: Observations that are recorded; the oldest leave first. All are by default.
+        most: Observations that are recorded at most; the oldest leave first.
     """
 
-    most: float = math.inf
-
     def __init__(
-        self, batch_size: int, mirror: MirrorAugmentation | None = None, device: torch.device | str = "cpu"
+        self,
+        batch_size: int,
+        mirror: MirrorAugmentation | None = None,
+        device: torch.device | str = "cpu",
+        most: float = math.inf,
     ) -> None:
-        self.batch_size, self.mirror, self.device = batch_size, mirror, device
+        self.batch_size, self.mirror, self.device, self.most = batch_size, mirror, device, most
         self.clear()
 
     def clear(self) -> None:

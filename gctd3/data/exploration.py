@@ -183,11 +183,11 @@ class Explorer(TensorDictModuleBase):
 
     def resume_warmup(self) -> int:
         """Let another round of gaits act from the next step on, if any are left; return the frames that are left."""
-        left = self.num_robots * self.rhythm.steps_left if isinstance(self.rhythm, MotionSearch) else 0
-        if left and isinstance(self.rhythm, MotionSearch):
-            self.rhythm.go_on()
-            self.warmup.copy_(self.frames + left)
-        return left
+        if not isinstance(self.rhythm, MotionSearch) or not (steps := self.rhythm.steps_left):
+            return 0
+        self.rhythm.go_on()
+        self.warmup.copy_(self.frames + self.num_robots * steps)
+        return self.num_robots * steps
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the next action of every robot."""

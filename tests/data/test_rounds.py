@@ -60,7 +60,7 @@ def begun(gaits):
 
 
 def test_a_round_ends_with_the_fittest_few_and_another_one_searches_on(quadruped):
-    """Of 40 steps in two rounds the 14th to the 20th, and the 34th to the 40th, are of the fittest few."""
+    """Try the fittest few from the 14th to the 20th of 40 steps in two rounds, and from the 34th to the 40th."""
     gaits = gaits_of(quadruped, steps=40, rounds=2)
     returned = begun(gaits)
     final, over = [bool(gaits.final)], [gaits.round_over]
@@ -111,7 +111,7 @@ def test_between_two_rounds_robots_wait_for_a_new_episode(quadruped):
 
 
 def test_a_round_is_long_enough_for_a_trial_of_its_last_gaits():
-    """Of 40 s and trials of 4 s: in three rounds the last three tenths of each hold one, in four they do not."""
+    """Hold a trial of 4 s in the last three tenths of each of three rounds of 40 s, but not of four."""
     settings = ExplorationSettings(warmup="stepping", gait_time=4.0, rounds=4)
     assert [settings.rounds_of(seconds) for seconds in (1.0, 26.0, 27.0, 40.0, 54.0, 1e4)] == [1, 1, 2, 3, 4, 4]
     assert replace(settings, warmup="swinging").rounds_of(1e4) == 1

@@ -57,7 +57,7 @@ def test_gaits_evolve_on_where_none_succeeds(tmp_path, capsys):
 
 
 def test_a_gait_that_is_less_fit_but_meets_the_conditions_is_preferred(tmp_path, capsys, monkeypatch):
-    """Of the last gaits the second one ends the warm-up, and the policy begins as that one."""
+    """End the warm-up with the second one of the last gaits, and begin the policy as that one."""
     measured = Evaluations._measure_gait
     tried = []
 
