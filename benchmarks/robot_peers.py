@@ -86,18 +86,6 @@ def walking(rule: StopWhen) -> Criterion:
     return lambda curve: len(curve) >= needed and all(rule.all_reached(row) for row in curve[-needed:])
 
 
-def missed(row: Row, rule: StopWhen) -> list[str]:
-    """Name the conditions that an evaluation does not meet."""
-    bounds = [(name, bound, "<") for name, bound in rule.at_least.items()]
-    bounds += [(name, bound, ">") for name, bound in rule.at_most.items()]
-    found = []
-    for name, bound, sign in bounds:
-        one = StopWhen(at_least={name: bound}) if sign == "<" else StopWhen(at_most={name: bound})
-        if not one.all_reached(row):
-            found.append(f"{name} {row[name]:.2f} {sign} {bound:g}" if name in row else f"{name} undefined")
-    return list(dict.fromkeys(found))  # an undefined metric with two bounds is named once
-
-
 def until(run: Run, criterion: Criterion) -> Run:
     """Return the run up to the first evaluation that meets a criterion; if none does, as one that did not get there."""
     for i, row in enumerate(run.curve):
@@ -195,7 +183,7 @@ def results(runs: Sequence[Run], cap: float, rule: StopWhen) -> dict[str, Result
         first = arrived[name][0]
         at = first.curve[-1] if first.reached else first.best
         one, other = summary(arrived[name], cap), summary(walked[name], cap)
-        lacking = missed(at, rule) if at else []
+        lacking = rule.missed(at) if at else []
         found[name] = Result(one, other, ratio(one, base), ratio(other, base), at, lacking)
     return found
 

@@ -92,13 +92,15 @@ class StopWhen:
 
     def missed(self, metrics: Mapping[str, float]) -> list[str]:
         """Name the conditions that do not hold, with what was measured."""
-        sides = (("at least", self.at_least, 1.0), ("at most", self.at_most, -1.0))
-        return [
-            f"{name} {bounded} {bound:g} ({value:.3g})"
-            for bounded, conditions, sign in sides
-            for name, bound in _bounds(conditions)
-            if not sign * (value := metrics.get(name, math.nan)) >= sign * bound
-        ]
+        below = [(name, bound, "<") for name, bound in _bounds(self.at_least)]
+        above = [(name, bound, ">") for name, bound in _bounds(self.at_most)]
+        found = []
+        for name, bound, sign in (*below, *above):
+            value = metrics.get(name, math.nan)
+            if not (value >= bound if sign == "<" else value <= bound):
+                shown = "undefined" if math.isnan(value) else f"{value:.3g}"
+                found.append(f"{name} {shown} {sign} {bound:g}")
+        return found
 
     def reached(self, metrics: Mapping[str, float]) -> int:
         """Count the conditions that hold; an undefined metric meets none."""

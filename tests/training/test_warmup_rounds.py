@@ -50,7 +50,7 @@ def test_gaits_evolve_on_where_none_succeeds(tmp_path, capsys):
     run = train(tmp_path, *ROUNDS, *NONE)
     said = capsys.readouterr().out
     # After either round.
-    assert said.count("It misses success_rate at least 1 (0).") == 2 and said.count("The policy begins as") == 1
+    assert said.count("It misses success_rate 0 < 1.") == 2 and said.count("The policy begins as") == 1
     assert min(updates(run)) == 80
     # Of the last round, whether it succeeds or not.
     assert (run / "warmup_gait.json").is_file()
