@@ -98,8 +98,7 @@ class StopWhen:
         for name, bound, sign in (*below, *above):
             value = metrics.get(name, math.nan)
             if not (value >= bound if sign == "<" else value <= bound):
-                shown = "undefined" if math.isnan(value) else f"{value:.3g}"
-                found.append(f"{name} {shown} {sign} {bound:g}")
+                found.append(f"{name} undefined" if math.isnan(value) else f"{name} {value:.3g} {sign} {bound:g}")
         return found
 
     def reached(self, metrics: Mapping[str, float]) -> int:
