@@ -183,7 +183,8 @@ def results(runs: Sequence[Run], cap: float, rule: StopWhen) -> dict[str, Result
         first = arrived[name][0]
         at = first.curve[-1] if first.reached else first.best
         one, other = summary(arrived[name], cap), summary(walked[name], cap)
-        lacking = rule.missed(at) if at else []
+        # An undefined metric with two bounds is named once.
+        lacking = list(dict.fromkeys(rule.missed(at))) if at else []
         found[name] = Result(one, other, ratio(one, base), ratio(other, base), at, lacking)
     return found
 

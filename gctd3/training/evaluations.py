@@ -128,7 +128,7 @@ class Evaluations:
             if not (missed := stop_when.missed(metrics)):
                 self._record_gait(metrics)
                 return False
-            said = said or f"{figures(metrics)}. It misses {', '.join(missed)}."
+            said = said or f"{figures(metrics)}. It misses {', '.join(dict.fromkeys(missed))}."
         gaits.choose(None)
         tqdm.write(f"The fittest gait after {frames:,} frames: {said}")
         return True
