@@ -39,6 +39,14 @@ if TYPE_CHECKING:
     from gctd3.robots.servo_settings import ServoSettings
     from gctd3.robots.settings import RobotSettings
 
+# Parts of the simulation without which nothing walks, by their flag in <option>, and what is missing without each.
+NEEDED = {
+    "constraint": (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, "nothing holds its feet on the ground"),
+    "contact": (mujoco.mjtDisableBit.mjDSBL_CONTACT, "its feet fall through the ground"),
+    "actuation": (mujoco.mjtDisableBit.mjDSBL_ACTUATION, "its servos have no torque"),
+    "gravity": (mujoco.mjtDisableBit.mjDSBL_GRAVITY, "nothing presses its feet onto the ground"),
+}
+LEAST_GRAVITY = 0.1  # m/s^2 downward, a sixteenth of the Moon's
 TOUCHES = 1e-3  # thickness of the sole whose velocity is a foot's: what touches the ground slides on it (m)
 
 
@@ -85,10 +93,11 @@ def complete(
     for sentence in before:
         draft.edit(sentence)
     first = draft.model
+    _check_simulation(first, file)
     _check_places(first, file)
     _contacts(draft, settings)
     names, several = [joint_name(first, j) for j in draft.joints()], len(settings.sources) > 1
-    check_patterns(settings.servos, names, "robot.servos", file, several)
+    check_patterns(settings.given_servos, names, "robot.servos", file, several)
     floor = complete_ground(draft)
     pose, key, feet, split = choose_feet(draft, settings, floor)
     if any(split):
@@ -120,6 +129,18 @@ def complete(
     _passive(draft)
     try_standing(draft, feet, floor)
     return Completed(draft.model, spec, tuple(draft.notes), held, draft.root_name, tuple(feet))
+
+
+def _check_simulation(model: mujoco.MjModel, file: Path) -> None:
+    """Refuse a file that turns off what walking needs of the simulation."""
+    for flag, (bit, without) in NEEDED.items():
+        if model.opt.disableflags & bit:
+            raise RobotError(f'{file}: <flag {flag}="disable"/> in its <option> must go: {without}.')
+    if model.opt.gravity[2] > -LEAST_GRAVITY:
+        raise RobotError(
+            f"{file}: gravity must point down, with z of -{LEAST_GRAVITY:g} m/s^2 or less, got "
+            f"{model.opt.gravity.tolist()}."
+        )
 
 
 def _check_places(model: mujoco.MjModel, file: Path) -> None:
@@ -179,7 +200,7 @@ def _servos(
     qpos = model.qpos0.copy() if pose is None else draft.qpos_of(pose)
     ids = [draft.body_id(name) if name else 0 for name in feet]
     load = carried_load(model, qpos, ids, floor)
-    complete_servos(draft, qpos, load, settings.servos, limits)
+    complete_servos(draft, qpos, load, settings.given_servos, limits)
 
 
 def _sense(draft: Draft, feet: Sequence[str], pose: Mapping[str, np.ndarray] | None) -> None:

@@ -237,7 +237,7 @@ def _read(model: mujoco.MjModel, joint: int) -> tuple[_Drive, int | None]:
     if affine and bias[1] < 0.0:
         # It comes to rest at the desired angle.
         per_angle = gear * float(bias[1] / -gain[0]) if gain[0] else gear
-        stiffness, damping = -float(bias[1]) * gear**2, -float(bias[2]) * gear**2
+        stiffness, damping = -float(bias[1]) * gear**2, 0.0 - float(bias[2]) * gear**2
         place = sorted(float(v) / per_angle for v in span)
         return _Drive(stiffness, damping, low, high, (place[0], place[1]) if limited else None), old
     if not affine and limited and int(model.actuator_gaintype[old]) == int(mujoco.mjtGain.mjGAIN_FIXED):

@@ -103,6 +103,11 @@ def find_source(settings: RobotSettings) -> Source:
                 f"robot.source={settings.source} chooses among robot.sources, and robot.name={settings.name} has none."
             )
         return find_place(settings.name)
+    if settings.name in shipped_robots():
+        raise RobotError(
+            f"robot.name={settings.name} does not choose a robot where robot.sources name files: robot={settings.name} "
+            "does."
+        )
     if settings.source is not None:
         chosen = [place for place in places if settings.source == place or _same(settings.source, place)]
         if not chosen:
@@ -134,6 +139,8 @@ def find_place(place: str) -> Source:
     Raises:
         RobotError: If there is none.
     """
+    if "://" in place:
+        raise RobotError(f"robot={place} is an address: download the file and name its path.")
     package = package_of(place)
     if package is not None:
         rest = place.partition(":")[2]
@@ -287,6 +294,8 @@ def _in_package(package: str, path: str, place: str) -> Source:
         file = Path(str(listed[0].locate())).resolve() if len(listed) == 1 else None
     version = f" {distribution.version}" if distribution else ""
     if file is None or not file.is_file():
+        if not path.strip("/"):
+            raise RobotError(f"robot={place} names no file of the package {package}{version}: {package}:PATH does.")
         raise RobotError(f"{place}: the package {package}{version} has no file {path!r}.{_nearest(folder, path)}")
     _check_format(file)
     # Up to the package's own folder; for files elsewhere up to the folder above theirs.

@@ -18,7 +18,7 @@ import numpy as np
 from gctd3.errors import RobotError, one_line
 from gctd3.robots.urdf_meshes import take_meshes
 from gctd3.robots.urdf_repair import fix_massless, mend_inertias, skip_floating_root, take_the_rest
-from gctd3.robots.urdf_tree import check_tree, first_names
+from gctd3.robots.urdf_tree import check_tree, first_names, joint_range
 
 _ROOT = re.compile(rb"<\s*([A-Za-z_][\w:.-]*)")
 
@@ -63,6 +63,8 @@ def read_urdf(file: Path) -> URDF:
     if root.tag != "robot" or root.find("link") is None:
         raise RobotError(f"{file} is not a URDF: it has no <robot> with a <link>.")
     check_tree(root, file)
+    if not any(link.find("collision") is not None for link in root.iterfind("link")):
+        raise RobotError(f"{file} has no foot: none of its links has a <collision>.")
     notes: list[str] = []
     meshes = take_meshes(root, file, notes)
     mend_inertias(root, file, notes)
@@ -127,7 +129,7 @@ def _free(spec: mujoco.MjSpec, root: ElementTree.Element, file: Path, notes: lis
 
 def _limits(spec: mujoco.MjSpec, root: ElementTree.Element, notes: list[str]) -> dict[str, dict[str, float]]:
     """Take the limits of torque off the joints, for their servos to keep; those of 0 are no limits."""
-    by_joint, silent = dict[str, dict[str, float]](), list[str]()
+    by_joint, silent, wide = dict[str, dict[str, float]](), list[str](), list[str]()
     for joint in spec.joints:
         joint.actfrclimited, joint.actfrcrange = mujoco.mjtLimited.mjLIMITED_FALSE, [0.0, 0.0]
     for joint in root.iterfind("joint"):
@@ -139,8 +141,13 @@ def _limits(spec: mujoco.MjSpec, root: ElementTree.Element, notes: list[str]) ->
         by_joint[name] = {key: value for key, text in stated.items() if (value := abs(float(text or 0.0))) > 0.0}
         if "effort" not in by_joint[name]:
             silent.append(name)
+        low, high = joint_range(joint)
+        if limit is not None and low == high and joint.get("type") != "continuous":
+            wide.append(name)
     if len(by_joint) > len(silent):
         notes.append("The limits of torque are the servos', not the joints'.")
     if silent:
         notes.append(f"{first_names(silent)} state no limit of torque (effort).")
+    if wide:
+        notes.append(f"The limits of {first_names(wide)}, lower and upper, are equal: MuJoCo takes them for none.")
     return {name: limits for name, limits in by_joint.items() if limits}

@@ -31,6 +31,9 @@ def check_tree(root: ElementTree.Element, file: Path) -> None:
         for key, text in ({} if limit is None else limit.attrib).items():
             if math.isnan(_number(text)):
                 raise RobotError(f"{file}: {key} of joint {name!r} must be a number, got {text!r}.")
+        low, high = joint_range(joint)
+        if low > high:
+            raise RobotError(f"{file}: the limits of joint {name!r} must rise, got lower={low:g} and upper={high:g}.")
     # Each link has one joint above it at most: a way up that does not end goes round.
     for link in links:
         place, seen = link, set[str]()
@@ -39,6 +42,13 @@ def check_tree(root: ElementTree.Element, file: Path) -> None:
             place = above[place]
         if place in seen:
             raise RobotError(f"{file}: links must form a tree; from {place!r} joints lead back to it.")
+
+
+def joint_range(joint: ElementTree.Element) -> tuple[float, float]:
+    """Return ``lower`` and ``upper`` of a joint's limit, which are 0 where they are not given (rad or m)."""
+    limit = joint.find("limit")
+    low, high = (0.0 if limit is None else float(limit.get(key, 0.0)) for key in ("lower", "upper"))
+    return low, high
 
 
 def joint_link(joint: ElementTree.Element, tag: str) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from gctd3.config.build import build
-from gctd3.files import quoted
+from gctd3.files import check_writable, quoted
 from gctd3.robots.geometry import convex_hull, geom_points
 from gctd3.robots.graph import KinematicGraph
 from gctd3.robots.mjcf import bodies_below, body_name, colliding_geoms
@@ -212,6 +212,8 @@ def show_graph(config: DictConfig) -> None:
     """Print the graph that a configuration asks for, and draw it if ``out`` names a file."""
     # A robot's YAML also holds settings of its training.
     settings: GraphSettings = build(OmegaConf.masked_copy(config, ["_target_", *GraphSettings.__dataclass_fields__]))
+    if settings.out is not None:
+        check_writable(Path(settings.out))
     robot = settings.robot.load(settings.feet)
     graph = KinematicGraph.from_robot(robot, settings.robot.graph, settings.robot.graph_seed)
     if robot.origin:

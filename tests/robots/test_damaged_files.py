@@ -48,6 +48,10 @@ URDF = {
         [TRUNK, LEG, joint("hip", "trunk", "leg", LIMIT.replace("20", "much"))],
         "effort of joint 'hip' must be a number, got 'much'",
     ),
+    "limits": (
+        [TRUNK, LEG, joint("hip", "trunk", "leg", LIMIT.replace("-0.8", "1"))],
+        "the limits of joint 'hip' must rise, got lower=1 and upper=0.8",
+    ),
     "quotes": ([link("it&apos;s"), LEG, joint("hip", "it&apos;s", "lag")], "must be a link, got 'lag'"),
 }
 
@@ -78,3 +82,45 @@ def test_a_part_that_is_too_far_away(tmp_path, place):
     file.write_text(TWO_LEGS.replace('<body name="leg_l" pos="0 0.1 0">', f'<body name="leg_l" pos="{place}">'))
     with pytest.raises(RobotError, match="body leg_l is at"):
         RobotSettings(str(file)).load()
+
+
+PHYSICS = {
+    '<option><flag contact="disable"/></option>': '<flag contact="disable"/> in its <option> must go',
+    '<option><flag constraint="disable"/></option>': '<flag constraint="disable"/> in its <option> must go',
+    '<option><flag actuation="disable"/></option>': '<flag actuation="disable"/> in its <option> must go',
+    '<option><flag gravity="disable"/></option>': '<flag gravity="disable"/> in its <option> must go',
+    '<option gravity="0 0 0"/>': "gravity must point down, with z of -0.1 m/s^2 or less, got [0.0, 0.0, 0.0]",
+    '<option gravity="0 0 9.81"/>': "got [0.0, 0.0, 9.81]",
+}
+
+
+@pytest.mark.parametrize("option", PHYSICS)
+def test_a_simulation_in_which_nothing_walks(tmp_path, option):
+    file = tmp_path / "floating.xml"
+    file.write_text(TWO_LEGS.replace("<worldbody>", f"{option}<worldbody>", 1))
+    with pytest.raises(RobotError) as refused:
+        RobotSettings(str(file)).load()
+    assert PHYSICS[option] in str(refused.value) and str(file) in str(refused.value)
+
+
+def test_the_moon_is_no_fault(tmp_path):
+    file = tmp_path / "moon.xml"
+    file.write_text(TWO_LEGS.replace("<worldbody>", '<option gravity="0 0 -1.62"/><worldbody>', 1))
+    assert RobotSettings(str(file)).load().model.opt.gravity[2] == -1.62
+
+
+def test_a_urdf_without_collision(tmp_path):
+    file = tmp_path / "seen.urdf"
+    legs = "".join(link(f"leg_{side}") + joint(f"hip_{side}", "trunk", f"leg_{side}") for side in "lr")
+    file.write_text(f'<robot name="seen">{TRUNK}{legs}</robot>'.replace("collision>", "visual>"))
+    with pytest.raises(RobotError, match="none of its links has a <collision>"):
+        RobotSettings(str(file)).load()
+
+
+def test_equal_limits_are_named(tmp_path):
+    file = tmp_path / "equal.urdf"
+    none = LIMIT.replace("-0.8", "0").replace("0.8", "0")
+    legs = link("leg_l") + joint("hip_l", "trunk", "leg_l", none) + link("leg_r") + joint("hip_r", "trunk", "leg_r")
+    file.write_text(f'<robot name="equal">{TRUNK}{legs}</robot>')
+    robot = RobotSettings(str(file)).load()
+    assert "The limits of hip_l, lower and upper, are equal: MuJoCo takes them for none." in robot.notes

@@ -122,6 +122,8 @@ def test_a_package_may_keep_its_files_elsewhere(installed, tmp_path):
     [
         ("no_such_package:a.xml", "no package 'no_such_package' is installed: pip install no-such-package."),
         ("walkers:twoo.xml", "walkers 1.2 has no file 'twoo.xml'. Did you mean 'two.xml'?"),
+        ("walkers:", "robot=walkers: names no file of the package walkers 1.2: walkers:PATH does."),
+        ("https://somewhere.org/two.xml", "is an address: download the file and name its path."),
     ],
 )
 def test_a_wrong_package_is_answered(installed, place, said):
@@ -146,6 +148,13 @@ def test_the_first_that_is_installed_is_read(installed):
     assert "pip install absent-package; " in refused(RobotSettings("two", sources=PLACES, source="absent-package"))
     said = refused(RobotSettings("two", sources=PLACES, source="stroller"))
     assert said.endswith("got 'stroller'. Did you mean 'strollers'?") and all(place in said for place in PLACES)
+
+
+def test_a_shipped_robots_name_does_not_choose_among_them(installed):
+    """Nobody who names the biped gets another robot."""
+    package(installed, "walkers", {"walkers/two.xml": FREE_LEGS})
+    said = refused(RobotSettings("biped", sources=PLACES))
+    assert said == "robot.name=biped does not choose a robot where robot.sources name files: robot=biped does."
 
 
 def test_another_that_is_installed_is_named_if_the_first_cannot_be_read(installed):

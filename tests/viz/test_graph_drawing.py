@@ -77,6 +77,16 @@ def test_command_says_what_is_wrong(arguments, said, tmp_path, monkeypatch, caps
     assert re.search(re.escape(said), capsys.readouterr().err)
 
 
+def test_a_place_that_cannot_be_written_is_said_first(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(
+        "gctd3.files._make_file", lambda path: (_ for _ in ()).throw(PermissionError(13, "Not allowed"))
+    )
+    assert command("graph", "robot=biped") == 2
+    said = capsys.readouterr()
+    assert said.err == f"error: out=graph.svg cannot be written: Not allowed: {tmp_path}.\n" and not said.out
+
+
 def test_hull_of_a_square_with_points_inside():
     points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5], [0.2, 0.9], [0.5, 0.0]])
     assert sorted(map(tuple, convex_hull(points))) == [(0, 0), (0, 1), (1, 0), (1, 1)]
