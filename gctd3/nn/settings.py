@@ -28,11 +28,13 @@ class NetworkSettings(ABC):
     Class attributes:
         equivariant: Whether the networks are built with the robot's reflection.
         knows_graph: Whether the networks need the robot's graph, beside the features of its nodes.
+        shares_joints: Whether all joints have the same weights, so that their order does not matter.
     """
 
     # Without annotations, which would make fields of them, the first ones of every subclass.
     equivariant = False
     knows_graph = False
+    shares_joints = False
 
     @abstractmethod
     def actor(
@@ -142,6 +144,11 @@ class Network(NetworkSettings):
     def knows_graph(self) -> bool:  # type: ignore[override]
         """Return whether any part of the network needs the robot's graph."""
         return bool(self.graph_layers) or self.readout != "flat" or self.equivariant
+
+    @property
+    def shares_joints(self) -> bool:  # type: ignore[override]
+        """Return whether all joints have the same weights."""
+        return bool(self.graph_layers) and self.readout == "joint"
 
     def actor(
         self,

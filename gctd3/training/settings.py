@@ -178,7 +178,8 @@ class TrainSettings:
             first = f", {frames // rounds} of them in the first of {rounds} rounds" if rounds > 1 else ""
             raise ConfigError(
                 f"exploration.learning_starts must be at most total_frames = {self.total_frames}, got {frames}{first}: "
-                "the training would end before it learns."
+                f"the training would end before it learns; exploration.learning_starts={self.total_frames // 2} leaves "
+                "half of them."
             )
 
     def setup(self, robot: Robot | None = None) -> Setup:

@@ -115,9 +115,11 @@ class Trainer:
     def _begin_from_a_run(self) -> None:
         """Copy the networks of the run that ``init`` names, if it names one."""
         if self.settings.init is not None:
-            frames = begin_from(self.algorithm, Path(self.settings.init), self.setup)
+            begun = begin_from(self.algorithm, Path(self.settings.init), self.setup)
             self.gait_imitation.remember(self.algorithm)
-            print(f"Networks begin as {quoted(self.settings.init)} had them after {frames:,} frames.", flush=True)
+            print(f"Networks begin as {quoted(self.settings.init)} had them after {begun.frames:,} frames.", flush=True)
+            if begun.note:
+                print(begun.note, flush=True)
 
     @property
     def _first_evaluation(self) -> int:

@@ -1,6 +1,8 @@
 """A training that begins from the networks of another run."""
 
 import re
+from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 import torch
@@ -10,6 +12,8 @@ from thinned import parametrize
 
 from gctd3.runs.load import load_run
 from gctd3.training.checkpoint import Checkpoints
+
+MODELS = Path(__file__).parents[2] / "models"
 
 
 def networks(run):
@@ -89,6 +93,47 @@ def test_networks_that_do_not_fit_are_refused_by_name(tmp_path, finished, capsys
     error = capsys.readouterr().err
     assert len(error.strip().splitlines()) == 1
     assert re.search(said, error)
+
+
+def changed(tmp_path, change):
+    """Write a copy of the biped's file, and return how to train it."""
+    file = tmp_path / "changed.xml"
+    file.write_text(change((MODELS / "biped" / "biped.xml").read_text()))
+    return f"robot.name={file}"
+
+
+def legs_swapped(text):
+    """Put the legs, which hang on one body, into the other order."""
+    tree = ElementTree.fromstring(text)
+    (trunk,) = [body for body in tree.iter("body") if len(body.findall("body")) == 2]
+    one, other = trunk.findall("body")
+    trunk.remove(one)
+    trunk.insert(list(trunk).index(other) + 1, one)
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+@pytest.mark.parametrize(("network", "code"), [("gcn", 2), ("gcn_shared", 0)])
+def test_weights_of_single_joints_need_the_same_order(tmp_path, finished, capsys, network, code):
+    """A robot whose left leg comes first does not walk with the right leg's weights."""
+    given, still = finished["gctd3"], ["exploration.learning_starts=83", "total_frames=83"]
+    if network == "gcn_shared":
+        given = tmp_path / "given"
+        assert command("train", *tiny(given, *still, "network.readout=joint")) == 0
+        still.append("network.readout=joint")
+    robot = changed(tmp_path, legs_swapped)
+    capsys.readouterr()
+    assert command("train", *tiny(tmp_path / "run", *still, robot, f"init={given}")) == code
+    said = capsys.readouterr()
+    assert ("the same joints in another order" in said.err) == (code == 2)
+    assert "other names" not in said.out
+
+
+def test_joints_of_other_names_are_said(tmp_path, finished, capsys):
+    robot = changed(tmp_path, lambda text: text.replace("left", "port"))
+    still = ["exploration.learning_starts=83", "total_frames=83"]
+    assert command("train", *tiny(tmp_path / "run", *still, robot, f"init={finished['gctd3']}")) == 0
+    said = r"joints have other names: the weights of hip_port are those of hip_left there"
+    assert re.search(said, capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("where", ["nowhere", "empty"])
