@@ -21,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
 import gctd3
-from gctd3.config.fields import TARGET, describe, find, is_settings, meanings
+from gctd3.config.fields import TARGET, describe, find, is_settings, meanings, name_of
 from gctd3.config.suggestions import nearest
 from gctd3.errors import ConfigError, PackageError, suggest
 
@@ -149,6 +149,9 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
         raise ConfigError(f"{where}: _target_ {target!r} is abstract: a class that defines {lacking} is needed.")
     parameters = inspect.signature(function).parameters
     hints = _hints(function)
+    arguments = {
+        key: _completed(value, hints.get(key), f"{path}.{key}".lstrip(".")) for key, value in arguments.items()
+    }
     for key, value in arguments.items():
         full = f"{path}.{key}".lstrip(".")
         if key not in parameters:
@@ -171,6 +174,18 @@ def _call(target: str, arguments: Mapping[str, Any], path: str) -> Any:  # noqa:
         if target.partition(".")[0] == OWN:
             raise
         raise ConfigError(f"{where}: {target} cannot be made: {type(error).__name__}: {error}") from error
+
+
+def _completed(value: Any, hint: Any, path: str) -> Any:  # noqa: ANN401
+    """Build the items of a mapping whose values are settings of one class, which need not be named."""
+    inner = typing.get_args(hint)
+    if not isinstance(value, Mapping) or typing.get_origin(hint) is not Mapping:
+        return value
+    classes = [option for option in (typing.get_args(inner[1]) or inner[1:]) if is_settings(option)]
+    if len(classes) != 1 or inspect.isabstract(classes[0]):
+        return value
+    target = name_of(classes[0])
+    return {k: _call(target, item, f"{path}.{k}") if isinstance(item, Mapping) else item for k, item in value.items()}
 
 
 def _hints(function: Callable[..., Any]) -> dict[str, Any]:

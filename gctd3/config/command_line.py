@@ -188,7 +188,15 @@ def _check_overrides(settings: DictConfig, overrides: Iterable[str], config: str
         if re.fullmatch(r"\{\s*\}", value) and isinstance(mapping, DictConfig) and len(mapping):
             terms = all(isinstance(item, DictConfig) for item in mapping.values())
             names = [str(name) for name in mapping if name != TARGET]
-            each = [f"{key}.{name}=null" if terms else f"'~{key}.{name}'" for name in names]
+            # Hydra's grammar has no key with a `*`, but a mapping with one.
+            each = [
+                f"'{key}={{{name}:null}}'"
+                if not re.fullmatch(r"\w+", name)
+                else f"{key}.{name}=null"
+                if terms
+                else f"'~{key}.{name}'"
+                for name in names
+            ]
             raise ConfigError(
                 f"{override} removes nothing, since it is merged with what is there. Leave out each: {' '.join(each)}"
             )

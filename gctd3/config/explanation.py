@@ -67,7 +67,8 @@ def explain(error: Exception, config: str, may_change: Sequence[str] = ()) -> st
     accepted = f" Accepted: {', '.join(siblings)}." if siblings else none
     if any(argument.startswith(f"{key}._target_=") for argument in sys.argv[1:]):
         return f"Unknown key {key!r}. To add it: +{key}._target_=...{accepted}"
-    return f"Unknown key {key!r}.{nearest(key, keys)}{accepted}"
+    added = f" A new one is added by +{parent}=..." if re.search(r"[^\w.]", key) else ""  # a pattern
+    return f"Unknown key {key!r}.{nearest(key, keys)}{accepted}{added}"
 
 
 def _replacing(message: str) -> str:

@@ -98,17 +98,22 @@ def read(file: Path) -> Preset:
 
 
 def changes(text: str) -> Iterator[Change]:
-    """List the keys that a YAML sets; a comment is shared by the keys below it, up to a comment or an empty line."""
+    """List the keys that a YAML sets.
+
+    A comment is shared by the keys below it, up to a comment, an empty line or a key that stands further to the left.
+    """
     plain = yaml.safe_load(text)
     lines = text.splitlines()
     path: list[str] = []
     above: list[str] = []
+    column = 0  # of the comment
     goes_on = head = True  # the line before was a comment too; only the file's own comment was read so far
     for line in lines:
         if line.strip().startswith("#"):
             above, goes_on = [*above, line.strip("# ")] if goes_on else [line.strip("# ")], True
+            column = _column(line)
             continue
-        if head or not line.strip():
+        if head or not line.strip() or _column(line) < column:
             above = []
         goes_on = head = False
         match = _KEY.match(line)
@@ -124,6 +129,10 @@ def changes(text: str) -> Iterator[Change]:
         if not match["value"] and not isinstance(value, list):
             continue
         yield Change(".".join(path), value, match["comment"] or " ".join(above))
+
+
+def _column(line: str) -> int:
+    return len(line) - len(line.lstrip())
 
 
 def _about(text: str) -> str:

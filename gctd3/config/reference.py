@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +14,8 @@ from gctd3.config.help import COMMANDS, choices, conf, root_of, show, summary, w
 from gctd3.config.presets import Preset, groups, presets
 from gctd3.config.terminal import prepare_output
 
+# A key within a mapping by patterns, such as robot.servos.*_knee.stiffness.
+_PATTERN = re.compile(r"(?P<outer>[\w.]+?)\.(?P<pattern>\w*[^\w.][^.]*)(?:\.(?P<inner>.+))?")
 HEAD = """# Configuration
 
 Every command takes `key=value` arguments. A key's default is that of a dataclass field, so that Python and the command
@@ -115,10 +118,19 @@ def _description(preset: Preset, options: list[Preset]) -> str:
         # A key with its default value is not a change, unless it undoes a change of the option's base.
         if preset.base is None and name in defaults and defaults[name] == change.value:
             continue
-        parts.append(f"<br>`{name}={written(change.value)}`" + (f": {change.why}" if change.why else ""))
+        parts.append(f"<br>`{_assigned(name, change.value)}`" + (f": {change.why}" if change.why else ""))
     if preset.sweep:
         parts.append("<br>With `-m` it sweeps " + ", ".join(f"`{k}={v}`" for k, v in preset.sweep.items()) + ".")
     return " ".join(parts).replace("|", "\\|")
+
+
+def _assigned(key: str, value: Any) -> str:  # noqa: ANN401 - YAML's
+    """Return the argument that sets a key; a pattern of joints is no key to Hydra's grammar, but one of a mapping."""
+    match = _PATTERN.fullmatch(key)
+    if match is None:
+        return f"{key}={written(value)}"
+    item = f"{{{match['inner']}:{written(value)}}}" if match["inner"] else written(value)
+    return f"{match['outer']}={{{match['pattern']}:{item}}}"
 
 
 def _table(listed: Iterator[Row] | list[Row]) -> Iterator[str]:

@@ -39,7 +39,7 @@ class RobotSettings:
         pose: Key of the file in which the robot stands; ``None`` for ``stand``, ``home``, or else one that stands, or
             else a pose that is found.
         hold: Patterns (``*`` and ``?``) of joints that walking does not need: they are fixed in the standing pose.
-        servos: Servos by pattern of joints, of which the first that fits counts.
+        servos: Servos by pattern of joints, of which the first that fits counts; ``None`` leaves a pattern out.
         cone: Friction cone of contacts, MuJoCo's ``pyramidal`` or ``elliptic``; ``None`` for the file's. In pyramidal
             ones, which are MuJoCo's default, feet that stand creep.
         impratio: Stiffness of friction by that of the normal force, MuJoCo's ``impratio``: the larger, the less feet
@@ -59,7 +59,7 @@ class RobotSettings:
     root: str | None = None
     pose: str | None = None
     hold: Sequence[str] = ()
-    servos: Mapping[str, ServoSettings] = field(default_factory=dict)
+    servos: Mapping[str, ServoSettings | None] = field(default_factory=dict)
     cone: Literal["pyramidal", "elliptic"] | None = None
     impratio: float | None = None
     action_scale: float | str | Mapping[str, float] | None = None
@@ -71,12 +71,19 @@ class RobotSettings:
 
     def within(self, limits: Mapping[str, Mapping[str, float]]) -> RobotSettings:
         """Add a file's limits of single joints' servos where their patterns leave them to the file."""
-        servos = {}
+        servos = dict[str, ServoSettings]()
         for joint, stated in limits.items():
-            fitting = next((s for pattern, s in self.servos.items() if fnmatchcase(joint, pattern)), ServoSettings())
+            fitting = next(
+                (s for pattern, s in self.given_servos.items() if fnmatchcase(joint, pattern)), ServoSettings()
+            )
             servos[joint] = replace(fitting, **{key: v for key, v in stated.items() if getattr(fitting, key) is None})
         # Joints first: of the patterns that fit, the first counts.
-        return replace(self, servos=servos | {key: s for key, s in self.servos.items() if key not in servos})
+        return replace(self, servos=servos | {key: s for key, s in self.given_servos.items() if key not in servos})
+
+    @property
+    def given_servos(self) -> dict[str, ServoSettings]:
+        """Return the servos that are not left out."""
+        return {pattern: servo for pattern, servo in self.servos.items() if servo is not None}
 
     @property
     def takes_a_source(self) -> bool:
