@@ -4,7 +4,7 @@
     python benchmarks/velocity.py robots=go2 seeds=0 settings='algo=td3 total_frames=400_000'
     python benchmarks/velocity.py what=table
 
-Each robot and seed is a file below ``out``: the errors and the falls under every command, and those of 50 episodes
+Each robot and seed is a file below ``out``: the errors and the falls under every command, and those of 200 episodes
 whose commands are drawn anew. It goes on where it stopped: what has a file is left alone, and a training that was
 interrupted is continued. A training or an evaluation that fails has a file too, with its last line, and counts as a
 failure; ``again=failed`` or ``again=all`` does it once more. A command counts as followed if no robot fell under it,
@@ -29,7 +29,7 @@ from common import commit, options
 from gctd3.files import title, write_text
 
 RESULTS = Path(__file__).parent / "results" / "velocity"
-EPISODES, STARTS = 50, 4
+EPISODES, STARTS = 200, 4
 GRID = ("grid.forward=5", "grid.side=3", "grid.turn=3", f"grid.starts={STARTS}")  # 45 commands, and standing
 CHECKPOINTS, TRAINED = "checkpoints", "trained"  # in the folder of a run; the second marks a finished training
 
