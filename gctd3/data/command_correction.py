@@ -11,11 +11,11 @@ from torch import Tensor
 class CommandCorrection(torch.nn.Module):
     """Correct the commands that a gait is given by how the robot moved under them.
 
-    Feet slide, legs yield, a body that goes backward and to the side at once also turns, and one that goes fast turns
-    less. So the error of the velocity is fitted to the command and its products of two and three, by least squares over
-    all robots, and taken off what the gait is asked for. After several rounds little is left: iterative learning
-    control (Arimoto et al. 1984). The ``k``-th round takes off ``1 / k`` of what it found, so that the noise of the
-    rounds averages out. A command to stand is left alone.
+    Feet slide, legs yield, a body that goes backward and to the side at once also turns, one that goes fast turns less,
+    and a gait on the spot may creep. So the error of the velocity is fitted to a constant, the command and its products
+    of two and three, by least squares over all robots, and taken off what the gait is asked for. After several rounds
+    little is left: iterative learning control (Arimoto et al. 1984). The ``k``-th round takes off ``1 / k`` of what it
+    found, so that the noise of the rounds averages out. A command to stand is left alone.
     """
 
     correction: Tensor
@@ -24,7 +24,7 @@ class CommandCorrection(torch.nn.Module):
     rounds: Tensor
 
     # Axes of the factors of each term.
-    TERMS = tuple(axes for degree in (1, 2, 3) for axes in combinations_with_replacement(range(3), degree))
+    TERMS = tuple(axes for degree in range(4) for axes in combinations_with_replacement(range(3), degree))
     RIDGE = 0.01  # of the fit, in mean squares of each term
 
     def __init__(self) -> None:
@@ -58,5 +58,6 @@ class CommandCorrection(torch.nn.Module):
 
     @classmethod
     def _terms(cls, command: Tensor) -> Tensor:
-        """Return each command and its products of two and three, ``[*, 19]``."""
-        return torch.stack([command[..., list(axes)].prod(dim=-1) for axes in cls.TERMS], dim=-1)
+        """Return 1, each command and its products of two and three, ``[*, 20]``; zeros for a command to stand."""
+        terms = torch.stack([command[..., list(axes)].prod(dim=-1) for axes in cls.TERMS], dim=-1)
+        return terms * (command != 0.0).any(dim=-1, keepdim=True)

@@ -29,7 +29,8 @@ class CommandedStepping(Stepping):
 
     Some commands are harder than others. So the fitness of a gait is what it earned beyond what is usual under its
     command: a least-squares fit of the rewards of the last trials to sizes of the command, see :meth:`_sizes`. At the
-    end of the warm-up all robots try the fittest gait, and what it is asked for is corrected by how they move.
+    end of the warm-up all robots try the fittest gait, and what it is asked for is corrected by how half of them move,
+    which do so without noise: with it robots are slower.
     """
 
     places: Tensor
@@ -39,6 +40,7 @@ class CommandedStepping(Stepping):
     command: Tensor
     held: Tensor
     correcting: Tensor
+    steady: Tensor
     moments: Tensor
     earnings: Tensor
 
@@ -52,10 +54,10 @@ class CommandedStepping(Stepping):
     SIZES = 6  # numbers that tell how hard a command is
     # Speed of the fastest foot over the ground from which on feet are lifted fully: the root of a Froude number.
     SLOW = 0.05
-    REACH = Stepping.GENES["stride"][1]  # half of the longest way of a foot, leg lengths; farther, robots fall
+    REACH = 0.6  # half of the longest way of a foot, leg lengths
     MEMORY = 4  # trials of each robot over which the usual reward of a command is fitted
-    LAST_ROUND = 0.45  # share of the warm-up, at its end, in which gaits no longer evolve
-    CORRECTED = 0.2  # share of the warm-up, at its end, in which commands are corrected
+    LAST_ROUND = 0.55  # share of the warm-up, at its end, in which gaits no longer evolve
+    CORRECTED = 0.4  # share of the warm-up, at its end, in which commands are corrected
     SETTLED = 1.5  # time for which a command has held when a robot is taken to move as it will (s)
     RIDGE = 0.1  # of that fit, in trials
 
@@ -77,6 +79,8 @@ class CommandedStepping(Stepping):
         self.register_buffer("command", torch.full((num_robots, 3), math.nan))
         self.register_buffer("held", torch.zeros(num_robots, dtype=torch.int64))
         self.register_buffer("correcting", torch.zeros((), dtype=torch.bool))
+        # Robots without noise while commands are corrected: every second one, or all if there is one.
+        self.register_buffer("steady", torch.arange(num_robots) % 2 == 0, persistent=False)
         self.correction = CommandCorrection()
         self._correct_from = math.inf if trials.steps is None else (1.0 - self.CORRECTED) * trials.steps
 
@@ -101,7 +105,7 @@ class CommandedStepping(Stepping):
         """Let all robots try the fittest gait at the end of the warm-up, and correct what it is asked for."""
         # The velocity is that under the command before.
         changed = is_init | (command != self.command).any(dim=-1)
-        known = self.correcting & ~changed & (self.held * self._dt >= self.SETTLED)
+        known = self.correcting & self.steady & ~changed & (self.held * self._dt >= self.SETTLED)
         if bool(known.any()):
             self.correction.observe(command[known], moved[known])
         self.held.copy_(torch.where(changed, 0, self.held + 1))
@@ -113,6 +117,10 @@ class CommandedStepping(Stepping):
                 getattr(self, name).copy_(value)
         elif self.correcting and (int(self.taken) - math.ceil(self._correct_from)) % self._steps == self._steps - 1:
             self.correction.end_round()
+
+    def _shaken(self, action: Tensor) -> Tensor:
+        """Return actions ``[robots, A]`` with noise, of steady robots without while commands are corrected."""
+        return torch.where((self.correcting & self.steady)[:, None], action, super()._shaken(action))
 
     def _sizes(self, command: Tensor | None) -> Tensor:
         """Return numbers that tell how hard commands are: 1, whether it is to stand, and sizes, ``[n, 6]``."""

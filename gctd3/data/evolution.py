@@ -261,7 +261,11 @@ class Evolution(MotionSearch):
         self.taken += 1
         self.cycles += self._dt * self._unit * self.frequency
         action = self.act({name: getattr(self, name) for name in self.genes}, self.cycles, shown)
-        return (action + self.NOISE * torch.randn_like(action)).clamp(-1.0, 1.0)
+        return self._shaken(action).clamp(-1.0, 1.0)
+
+    def _shaken(self, action: Tensor) -> Tensor:
+        """Return actions ``[robots, A]`` with noise."""
+        return action + self.NOISE * torch.randn_like(action)
 
     @property
     def _best(self) -> int:

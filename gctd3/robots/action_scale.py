@@ -12,18 +12,20 @@ from gctd3.robots.actuators import torque_limit
 from gctd3.robots.robot import Robot
 
 MOST = 0.5  # rad, of a scale that is derived
-LEAST = 0.15  # rad: with less no leg can swing
 
 
-def find_action_scale(robot: Robot, asked: float | str | Mapping[str, float] | None) -> tuple[float, ...] | None:
+def find_action_scale(
+    robot: Robot, asked: float | str | Mapping[str, float] | None, least: float
+) -> tuple[float, ...] | None:
     """Find the scale of each action (rad); ``None`` for actions that are mapped onto the servos' ranges.
 
     A derived scale is the largest torque over the stiffness, the change of the desired angle that uses the whole
-    torque, between 0.15 and 0.5 rad. mjlab (1.6) takes a quarter of that for its softer servos.
+    torque, of 0.5 rad at most. mjlab (1.6) takes a quarter of that for its softer servos.
 
     Args:
         robot: The robot.
         asked: See ``action_scale`` of :class:`.RobotSettings`.
+        least: The least scale that is derived (rad).
 
     Raises:
         ConfigError: If a scale is not above 0, a pattern fits no joint, or a joint has no scale.
@@ -33,7 +35,8 @@ def find_action_scale(robot: Robot, asked: float | str | Mapping[str, float] | N
             raise ConfigError(f"robot.action_scale must be range, a number, a mapping or null, got {asked!r}.")
         return None
     if asked is None:
-        return tuple(_derived(robot, i) for i in range(len(robot.actuated))) if robot.base.kind == "free" else None
+        free = robot.base.kind == "free"
+        return tuple(_derived(robot, i, least) for i in range(len(robot.actuated))) if free else None
     patterns = dict(asked) if isinstance(asked, Mapping) else {"*": asked}
     for pattern, scale in patterns.items():
         if not scale > 0:
@@ -52,6 +55,7 @@ def find_action_scale(robot: Robot, asked: float | str | Mapping[str, float] | N
     return tuple(scales)
 
 
-def _derived(robot: Robot, index: int) -> float:
+def _derived(robot: Robot, index: int, least: float) -> float:
     stiffness, effort = float(robot.model.actuator_gainprm[index, 0]), torque_limit(robot, index)
-    return float(np.clip(effort / stiffness, LEAST, MOST)) if np.isfinite(effort) and stiffness > 0 else MOST
+    uses = effort / stiffness if np.isfinite(effort) and stiffness > 0 else MOST
+    return float(max(least, min(uses, MOST)))

@@ -55,7 +55,7 @@ def load_robot(settings: RobotSettings, feet: Sequence[str] | None = None) -> Ro
     )
     written = Written(completed.spec, completed.model, source.file.parent)
     robot = replace(robot, written=written, blueprint=Blueprint(completed.spec.copy))
-    scale = find_action_scale(robot, settings.action_scale)
+    scale = find_action_scale(robot, settings.action_scale, settings.least_action_scale)
     return robot if scale is None else _about_standing(replace(robot, action_scale=scale))
 
 

@@ -47,6 +47,7 @@ class RobotSettings:
         action_scale: Change of the desired angle from the standing pose by an action of 1 (rad), one number or one by
             pattern of joints; ``range`` maps actions onto the servos' ranges (the paper's Table 2) instead. ``None``
             derives it from effort and stiffness where the base is free, and stands for ``range`` on other bases.
+        least_action_scale: The least scale that is so derived (rad): with less no leg can swing.
     """
 
     name: str = "biped"
@@ -63,10 +64,15 @@ class RobotSettings:
     cone: Literal["pyramidal", "elliptic"] | None = None
     impratio: float | None = None
     action_scale: float | str | Mapping[str, float] | None = None
+    least_action_scale: float = 0.15
 
     def __post_init__(self) -> None:
         if self.impratio is not None and not 0 < self.impratio < math.inf:
             raise ConfigError(f"robot.impratio={self.impratio}: must be greater than 0 and finite")
+        if not 0 < self.least_action_scale <= math.pi:
+            raise ConfigError(
+                f"least_action_scale must be above 0 and at most {math.pi:.3f} rad, got {self.least_action_scale}."
+            )
         check_seed("graph_seed", self.graph_seed)
 
     def within(self, limits: Mapping[str, Mapping[str, float]]) -> RobotSettings:

@@ -18,7 +18,14 @@ def tiring(asked):
     return torch.stack([1.15 * forward - 0.4 * forward**3, side, turn * (1.16 - 0.75 * forward.square())], dim=-1)
 
 
-@pytest.mark.parametrize(("robot", "at_first", "share"), [(drifting, 0.1, 0.2), (tiring, 0.025, 0.4)])
+def creeping(asked):
+    """Move as a robot that goes backward on the spot, and stands still when it is to stand."""
+    return asked - torch.tensor([0.15, 0.0, 0.0]) * (asked != 0).any(dim=-1, keepdim=True)
+
+
+@pytest.mark.parametrize(
+    ("robot", "at_first", "share"), [(drifting, 0.1, 0.2), (tiring, 0.025, 0.4), (creeping, 0.045, 0.2)]
+)
 def test_what_is_left_of_the_error_becomes_small(robot, at_first, share):
     generator = torch.Generator().manual_seed(0)
     correction, left = CommandCorrection(), []

@@ -75,15 +75,15 @@ def test_a_derived_scale_uses_the_whole_torque(quadruped):
         model.actuator_forcelimited[index], model.actuator_forcerange[index] = 1, (-effort, effort)
     model.actuator_forcelimited[3] = 0
     robot = Robot.from_mjcf(model)
-    scale = find_action_scale(robot, None)
+    scale = find_action_scale(robot, None, least=0.15)
     assert scale[:4] == pytest.approx((0.4, 0.15, 0.5, 0.5))
     assert torque_limit(robot, 0) == 60.0 and torque_limit(robot, 3) == np.inf
 
 
 def test_scales_by_pattern(quadruped):
-    scale = find_action_scale(quadruped, {"hip_*": 0.2, "*": 0.4})
+    scale = find_action_scale(quadruped, {"hip_*": 0.2, "*": 0.4}, least=0.15)
     assert scale == tuple(0.2 if name.startswith("hip_") else 0.4 for name in quadruped.actuated)
-    assert find_action_scale(quadruped, "range") is None
+    assert find_action_scale(quadruped, "range", least=0.15) is None
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_scales_by_pattern(quadruped):
 )
 def test_wrong_scales_are_refused(quadruped, asked, message):
     with pytest.raises(ConfigError, match=message):
-        find_action_scale(quadruped, asked)
+        find_action_scale(quadruped, asked, least=0.15)
 
 
 def height_after(robot, seconds=2.0):
