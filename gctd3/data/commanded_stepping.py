@@ -54,7 +54,7 @@ class CommandedStepping(Stepping):
     SIZES = 6  # numbers that tell how hard a command is
     # Speed of the fastest foot over the ground from which on feet are lifted fully: the root of a Froude number.
     SLOW = 0.05
-    REACH = 0.6  # half of the longest way of a foot, leg lengths
+    REACH = Stepping.GENES["stride"][1]  # half of the longest way of a foot, leg lengths; farther, robots fall
     MEMORY = 4  # trials of each robot over which the usual reward of a command is fitted
     LAST_ROUND = 0.55  # share of the warm-up, at its end, in which gaits no longer evolve
     CORRECTED = 0.4  # share of the warm-up, at its end, in which commands are corrected
