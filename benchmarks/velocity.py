@@ -20,6 +20,7 @@ import shutil
 import statistics
 import subprocess
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -58,10 +59,11 @@ def cell(
     cores = [f"threads={threads}", f"env.threads={threads}"]
     begin = [f"resume='{folder}'"] if goes_on else ["task=velocity", f"robot={robot}", f"seed={seed}", *settings]
     place = [] if goes_on else [f"hydra.run.dir='{folder}'"]
-    trained = folder / TRAINED
+    trained, began = folder / TRAINED, time.monotonic()
     failed = None if trained.is_file() else call("train", *begin, *cores, *place)
-    if failed is None:
-        trained.touch()
+    if failed is None and not trained.is_file():
+        # Of a training that was continued only the last part is known.
+        write_text(trained, "" if goes_on else f"{(time.monotonic() - began) / 60:.2f}")
     failed = failed or call(
         "evaluate", f"run='{folder}'", f"episodes={EPISODES}", f"threads={threads}", "commands=true", *grid
     )
@@ -73,6 +75,7 @@ def cell(
     return {
         **row,
         "frames": int(float(progress[-1].split(",")[0])),
+        "minutes": float(minutes) if (minutes := trained.read_text()) else None,  # of the whole command
         "versions": report["versions"],
         "resampled": {"episodes": report["episodes"], **{name: report[name] for name in names}},
         "followed": tested["whole"]["followed"],

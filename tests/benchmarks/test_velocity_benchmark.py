@@ -70,4 +70,4 @@ def test_a_cell_is_trained_tested_and_continued(bench, tmp_path):
     assert json.loads((folder / "commands.json").read_text())["whole"] == first["whole"]
     # A finished training is not trained again.
     again = bench.cell("quadruped", 0, folder, 1, ["algo=td3", *settings], grid)
-    assert again["whole"] == first["whole"]
+    assert again["whole"] == first["whole"] and again["minutes"] == first["minutes"] > 0
