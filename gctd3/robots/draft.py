@@ -45,7 +45,8 @@ class Draft:
         self.dropped: dict[str, str] = {}
         self.model = self.compile()
         whole = (0, int(self.model.nq))
-        self.short = [k.name for k, length in zip(spec.keys, self._written, strict=True) if length not in whole]
+        # Keys that <size nkey="..."/> reserves are added behind those of the file when it is compiled.
+        self.short = [k.name for k, length in zip(spec.keys, self._written, strict=False) if length not in whole]
         self.root_name = body_name(self.model, root_body(self.model, file, root))
 
     @property

@@ -124,3 +124,10 @@ def test_equal_limits_are_named(tmp_path):
     file.write_text(f'<robot name="equal">{TRUNK}{legs}</robot>')
     robot = RobotSettings(str(file)).load()
     assert "The limits of hip_l, lower and upper, are equal: MuJoCo takes them for none." in robot.notes
+
+
+def test_keys_that_are_reserved_are_no_fault(tmp_path):
+    """dm_control's dog has <size nkey="1"/> and no key: MuJoCo adds an empty one."""
+    file = tmp_path / "reserved.xml"
+    file.write_text(TWO_LEGS.replace("<worldbody>", '<size nkey="2"/><worldbody>', 1))
+    assert RobotSettings(str(file)).load().feet == ("leg_r", "leg_l")
