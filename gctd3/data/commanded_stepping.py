@@ -30,7 +30,7 @@ class CommandedStepping(Stepping):
     Some commands are harder than others. So the fitness of a gait is what it earned beyond what is usual under its
     command: a least-squares fit of the rewards of the last trials to sizes of the command, see :meth:`_sizes`. At the
     end of the warm-up all robots try the fittest gait, and what it is asked for is corrected by how half of them move,
-    which do so without noise: with it robots are slower.
+    which do so without noise, as policies will.
     """
 
     places: Tensor

@@ -135,7 +135,7 @@ def test_it_needs_the_command(quadruped):
 
 
 def test_commands_are_corrected_by_robots_without_noise(quadruped):
-    """Every second robot follows the gait itself, and only these are observed: noise slows the others down."""
+    """Every second robot follows the gait itself, and only these are observed."""
     torch.manual_seed(0)
     robots = 6
     gaits = CommandedStepping(quadruped, robots, Trials(0.1, 0.02, steps=1000))
