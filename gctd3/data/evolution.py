@@ -78,7 +78,7 @@ class Evolution(MotionSearch):
         for name, values in self._draw(num_robots).items():
             self.register_buffer(name, values)
             self.register_buffer(f"best_{name}", values.clone())
-        self.register_buffer("fitness", torch.full((num_robots,), -math.inf))
+        self._add_memory(num_robots)
         self.register_buffer("cycles", torch.zeros(num_robots))
         self.register_buffer("start", torch.zeros(num_robots))
         self.register_buffer("lived", torch.zeros(num_robots, dtype=torch.int64))
@@ -93,6 +93,10 @@ class Evolution(MotionSearch):
         if trials.least_speed is not None:
             self.register_buffer("walked", torch.zeros(num_robots))
             self.register_buffer("place", torch.zeros(num_robots))
+
+    def _add_memory(self, count: int) -> None:
+        """Register what robots know of the gaits that they remember, :attr:`REMEMBERED`."""
+        self.register_buffer("fitness", torch.full((count,), -math.inf))
 
     @abstractmethod
     def act(self, genes: Mapping[str, Tensor], cycles: Tensor, shown: Shown = NOTHING) -> Tensor:
@@ -196,10 +200,14 @@ class Evolution(MotionSearch):
     def go_on(self) -> None:
         """Begin another round, in which robots remember what they did; how fit finalists are is known better now."""
         known = self.finalists
-        means = torch.stack([self.fitness[self.finalist == one].mean() for one in known])
+        means = {
+            name: torch.stack([getattr(self, name)[self.finalist == one].mean(dim=0) for one in known])
+            for name in self.REMEMBERED
+        }
         for name in self._remembered:
             getattr(self, name).copy_(getattr(self, f"before_{name}"))
-        self.fitness[known] = means
+        for name, values in means.items():
+            getattr(self, name)[known] = values
         self.finalist.fill_(-1)
         super().go_on()
 

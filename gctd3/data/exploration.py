@@ -86,11 +86,6 @@ class Explorer(TensorDictModuleBase):
         if levels is not None and not jumping:
             # Feet that step follow neither a height nor the clock of a jump.
             command, gait = None, None
-        if settings.rounds > 1 and command is not None and stepping:
-            raise ConfigError(
-                f"exploration.rounds must be 1 for gaits that follow a command, got {settings.rounds}: their "
-                "correction comes at the end."
-            )
         # What tells how good a gait is, if gaits evolve.
         self._judged_by: list[str] = []
         if settings.warmup in ("stepping", "swinging", "jumping"):

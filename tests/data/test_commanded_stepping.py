@@ -135,12 +135,13 @@ def test_it_needs_the_command(quadruped):
 
 
 def test_commands_are_corrected_by_robots_without_noise(quadruped):
-    """Every second robot follows the gait itself, and only these are observed."""
+    """Half of the robots of each gait follow it as it is, and only these are observed."""
     torch.manual_seed(0)
-    robots = 6
+    robots = 16
     gaits = CommandedStepping(quadruped, robots, Trials(0.1, 0.02, steps=1000))
     command = torch.tensor([[0.4, 0.1, 0.2]]).expand(robots, 3)
-    gaits.correcting.fill_(True)
+    gaits.final.fill_(True)
+    gaits.finalist.zero_()
     gaits.SETTLED = 0.0
     begins = torch.ones(robots, dtype=torch.bool)
     for step in range(6):
@@ -149,6 +150,42 @@ def test_commands_are_corrected_by_robots_without_noise(quadruped):
         shown = Shown(command, velocity=moved)
         action = gaits(begins if step == 0 else ~begins, torch.zeros(robots), shown=shown)
         plain = gaits.act(genes_of(gaits), gaits.cycles, shown).clamp(-1.0, 1.0)
-        assert torch.equal(action[::2], plain[::2]) and not (action[1::2] == plain[1::2]).all(dim=1).any()
-    gaits.correction.end_round()
-    assert gaits.correction.rounds >= 1 and gaits.correction.correction.abs().max() < 1e-6
+        assert torch.equal(action[:8], plain[:8]) and not (action[8:] == plain[8:]).all(dim=1).any()
+    gaits.correction.fit()
+    assert gaits.correction.moments.any() and gaits.correction.correction.abs().max() < 1e-6
+
+
+def test_what_was_asked_for_changes_only_with_the_command(quadruped):
+    """A gait that slides is asked for more once a fit shows it, but not before the next command."""
+    torch.manual_seed(0)
+    robots = 64
+    gaits = CommandedStepping(quadruped, robots, Trials(0.1, 0.02, steps=10_000))
+    gaits.final.fill_(True)
+    gaits.finalist.zero_()
+    gaits.SETTLED = 0.0
+    begins, slow = torch.ones(robots, dtype=torch.bool), 0.5
+    command, asked = torch.empty(robots, 3).uniform_(-0.4, 0.4), []
+    for step in range(50):
+        if step % 10 == 0:
+            command = torch.empty(robots, 3).uniform_(-0.4, 0.4)
+        shown = Shown(command, velocity=slow * gaits.corrected)
+        gaits(begins if step == 0 else ~begins, torch.zeros(robots), shown=shown)
+        asked.append(gaits.corrected.clone())
+        assert step % 10 == 0 or torch.equal(asked[-1], asked[-2])
+    assert torch.equal(asked[0].abs() <= 0.4, torch.ones(robots, 3, dtype=torch.bool))
+    within = (command.abs() < 0.35).all(dim=1)  # what is asked for is bounded by twice the largest command so far
+    torch.testing.assert_close(slow * asked[-1][within], command[within], atol=0.03, rtol=0.0)
+
+
+def test_a_gait_that_moves_otherwise_than_commanded_is_less_fit(quadruped):
+    """0.1 m/s and 0.2 rad/s off cost 2 * (0.1 + 0.75 * 0.2) of the mean reward."""
+    torch.manual_seed(0)
+    gaits = CommandedStepping(quadruped, 2, Trials(0.1, 0.02))
+    gaits.SETTLED = 0.0
+    command = torch.tensor([[0.3, 0.1, 0.2]]).expand(2, 3)
+    moved = command + torch.tensor([[0.0, 0.0, 0.0], [0.06, -0.08, 0.2]])
+    begins = torch.ones(2, dtype=torch.bool)
+    for step in range(6):
+        gaits(begins if step == 0 else ~begins, torch.zeros(2), shown=Shown(command, velocity=moved))
+    assert float(gaits.results[0]) == pytest.approx(0.0, abs=1e-6)
+    assert float(gaits.results[1]) == pytest.approx(-0.5)

@@ -8,11 +8,12 @@ from hydra import compose, initialize_config_module
 from tensordict import TensorDict
 
 from gctd3.config.build import build
+from gctd3.data.commanded_stepping import CommandedStepping
 from gctd3.data.exploration import Explorer
 from gctd3.data.inline_collector import InlineCollector
 from gctd3.data.settings import ExplorationSettings
 from gctd3.data.stepping import Stepping
-from gctd3.data.trials import Trials
+from gctd3.data.trials import Shown, Trials
 from gctd3.envs.factory import EnvRecipe
 from gctd3.errors import ConfigError
 from gctd3.robots.settings import RobotSettings
@@ -242,10 +243,28 @@ def test_only_feet_that_step_have_several_rounds(quadruped, warmup):
     assert ends == ([20] if warmup == "stepping" else []) and not explorer.warming_up
 
 
-def test_gaits_that_follow_a_command_have_one_round(quadruped):
-    settings = ExplorationSettings(warmup="stepping", rounds=2)
-    with pytest.raises(ConfigError, match="rounds must be 1 for gaits that follow a command, got 2"):
-        Explorer(torch.nn.Linear(1, 1), quadruped, 4, settings, command=lambda nodes: nodes)
+def test_gaits_that_follow_a_command_are_corrected_anew_in_each_round(quadruped):
+    """What was measured of the last gaits is kept by those who found them, and the corrections are not."""
+    torch.manual_seed(0)
+    robots = 32
+    gaits = CommandedStepping(quadruped, robots, Trials(5 * DT, DT, steps=200, rounds=2))
+    gaits.SETTLED = 0.0
+    command, nothing = torch.rand(robots, 3) - 0.5, torch.zeros(robots, dtype=torch.bool)
+    returned = torch.zeros(robots)
+    for step in range(100):
+        if step % 10 == 0:
+            command = torch.rand(robots, 3) - 0.5
+        gaits(~nothing if step == 0 else nothing, returned, shown=Shown(command, velocity=0.5 * command))
+        returned = returned + torch.rand(robots)
+    assert gaits.round_over and gaits.correction.correction.any()
+    known = gaits.finalists
+    means = [float(gaits.results[gaits.finalist == one].mean()) for one in known]
+    gaits.go_on()
+    assert gaits.results[known].tolist() == pytest.approx(means)
+    others = [robot for robot in range(robots) if robot not in known]
+    assert torch.equal(gaits.results[others], gaits.before_results[others])
+    gaits._begin_last_round()
+    assert not gaits.correction.correction.any()
 
 
 def test_other_processes_have_nobody_who_ends_rounds_and_episodes():
