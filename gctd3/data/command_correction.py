@@ -84,7 +84,7 @@ class CommandCorrection(torch.nn.Module):
             self.farthest.copy_(torch.maximum(self.farthest, command.abs().amax(dim=0)))
 
     def fit(self) -> None:
-        """Fit the corrections of those gaits that were observed."""
+        """Compute the corrections of those gaits that were observed."""
         spread = self.moments.diagonal(dim1=-2, dim2=-1)
         seen = (spread > 0).any(dim=-1)
         # A term that nothing asked for has had stays out of the fit.
