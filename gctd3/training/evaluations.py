@@ -110,7 +110,8 @@ class Evaluations:
         """Look for a gait of a round of the warm-up that meets what would end the training; return whether none does.
 
         The fittest of the last gaits are evaluated in turn, and the first one that meets all conditions counts as the
-        fittest. Where nothing ends the training, or gaits cannot be evaluated without a policy, none misses anything.
+        fittest; if none does, the one that meets most of them, and by return among equals. Where nothing ends the
+        training, or gaits cannot be evaluated without a policy, none misses anything.
 
         Args:
             gaits: Gaits of the warm-up.
@@ -120,6 +121,7 @@ class Evaluations:
         if stop_when.evaluations is None:
             return False
         said, candidates = "", [*gaits.finalists[:CANDIDATES]]
+        scores = dict[int | None, float]()
         for finalist in candidates or (None,):
             gaits.choose(finalist)
             metrics = self._measure_gait(gaits)
@@ -128,8 +130,9 @@ class Evaluations:
             if not (missed := stop_when.missed(metrics)):
                 self._record_gait(metrics)
                 return False
+            scores[finalist] = stop_when.score(metrics)
             said = said or f"{figures(metrics)}. It misses {', '.join(dict.fromkeys(missed))}."
-        gaits.choose(None)
+        gaits.choose(max(scores, key=lambda finalist: scores[finalist]))
         tqdm.write(f"The fittest gait after {frames:,} frames: {said}")
         return True
 

@@ -75,6 +75,23 @@ def test_a_gait_that_is_less_fit_but_meets_the_conditions_is_preferred(tmp_path,
     assert gaits.finalist[gaits.followers].tolist() == [first[1]] * int(gaits.followers.sum())
 
 
+def test_of_gaits_that_all_miss_conditions_the_best_one_is_taken(tmp_path, capsys, monkeypatch):
+    """None of the last gaits succeeds, and the policy begins as the one with the best return, not as the fittest."""
+    measured = Evaluations._measure_gait
+    tried = []
+
+    def measure(self, gaits):
+        tried.append(int(gaits.chosen))
+        return {**measured(self, gaits), "return_mean": float(len(tried))}
+
+    monkeypatch.setattr(Evaluations, "_measure_gait", measure)
+    train(tmp_path, *ROUNDS, *NONE)
+    assert capsys.readouterr().out.count("It misses success_rate 0 < 1.") == 2
+    gaits = Recorded.last.explorer.rhythm
+    # Whoever was evaluated last had the best return.
+    assert len(gaits.finalists) > 1 and int(gaits.chosen) == tried[-1] == gaits.finalists[-1] != gaits.finalists[0]
+
+
 def test_gaits_evolve_on_if_the_policy_that_begins_as_one_fails(tmp_path, capsys, monkeypatch):
     """From other starts the policy misses what it met; a new one begins as the fittest gait of the other round."""
     speeds = iter([-200.0, 0.0])
