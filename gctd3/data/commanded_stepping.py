@@ -169,8 +169,7 @@ class CommandedStepping(Stepping):
         usual = torch.linalg.solve(self.moments, self.earnings)
         # Of a gait that was tried again the mean counts, in which the last trials weigh most but for the last round.
         again = tried & self.again
-        self.counted += again & self.final
-        share = torch.where(self.final, 1.0 / self.counted.clamp(min=1.0), 0.5)
+        share = self._share(again)
         self._put(again, torch.lerp(self.results, result, share), torch.lerp(self.asked, asked, share[:, None]))
         fitter = tried & ~again & (result - asked @ usual > self.results - self.asked @ usual)
         self._put(fitter, result, asked)

@@ -168,14 +168,17 @@ class Evolution(MotionSearch):
         """
         # Of a gait that was tried again the mean counts, in which the last trials weigh most.
         again = tried & self.again
-        share = torch.full_like(result, 0.5)
-        if self.final and self.ALIKE:
-            self.counted += again
-            share = 1.0 / self.counted.clamp(min=1.0)
-        self.fitness.copy_(torch.where(again, torch.lerp(self.fitness, result, share), self.fitness))
+        self.fitness.copy_(torch.where(again, torch.lerp(self.fitness, result, self._share(again)), self.fitness))
         fitter = tried & ~again & (result > self.fitness)
         self.fitness.copy_(torch.where(fitter, result, self.fitness))
         return fitter
+
+    def _share(self, again: Tensor) -> Tensor:
+        """Count trials of gaits that were tried again, and return the weight of each in the mean, ``[robots]``."""
+        if not (self.final and self.ALIKE):
+            return torch.full_like(self.counted, 0.5)
+        self.counted += again
+        return 1.0 / self.counted.clamp(min=1.0)
 
     def _begin_last_round(self) -> None:
         """Let the robots remember the fittest few gaits, in turn, and nothing else."""

@@ -58,7 +58,7 @@ def test_gaits_have_corrections_of_their_own():
 
 
 def test_a_gait_that_cannot_go_as_fast_is_not_asked_for_ever_more():
-    """What is asked for stays within twice the largest command, however slow the robot is."""
+    """Ask for no more than twice the largest command, however slow the robot is."""
     correction = CommandCorrection(1)
     left = corrected(lambda asked: 0.3 * torch.tanh(asked / 0.3), 0, correction, rounds=12)
     asked = correction(torch.tensor([[0.8, -0.8, 0.8]]), torch.tensor([0]))

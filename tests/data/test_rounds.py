@@ -244,7 +244,7 @@ def test_only_feet_that_step_have_several_rounds(quadruped, warmup):
 
 
 def test_gaits_that_follow_a_command_are_corrected_anew_in_each_round(quadruped):
-    """What was measured of the last gaits is kept by those who found them, and the corrections are not."""
+    """Keep what was measured of the last gaits with those who found them, but not the corrections."""
     torch.manual_seed(0)
     robots = 32
     gaits = CommandedStepping(quadruped, robots, Trials(5 * DT, DT, steps=200, rounds=2))
