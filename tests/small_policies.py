@@ -71,11 +71,15 @@ def small_contract(frames=2, **changes):
     return Contract(**{**said, **changes})
 
 
-def following_contract(frames=4):
+def following_contract(frames=4, slew=0.0):
     """Return a contract with what a robot that follows commands reads: gravity's direction, and its own last action."""
     contract = small_contract(frames)
     body = Node(
-        "body", (encoder("gravity_up", "1", -1.1, 1.1, "IMU orientation"), encoder("asked", "1", -2, 2, "command"))
+        "body",
+        (
+            encoder("gravity_up", "1", -1.1, 1.1, "IMU orientation"),
+            Feature("asked", "asked", "1", "command", -2.0, 2.0, slew_rate=slew),
+        ),
     )
     joints = [
         Node(
@@ -87,6 +91,11 @@ def following_contract(frames=4):
         contract.safety, tilt_readings=("gravity_up",), tilt="arc cosine of the negative reading"
     )
     return small_contract(frames, nodes=(body, contract.nodes[1], *joints, contract.nodes[4]), safety=safety)
+
+
+def slewing_contract(frames=4):
+    """Return a contract whose command changes by at most 40 a second, 0.4 a control period."""
+    return following_contract(frames, slew=0.4 * RATE)
 
 
 def ticking_contract(frames=2, hz=2.5, phase=0.25):

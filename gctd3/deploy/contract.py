@@ -37,7 +37,7 @@ __all__ = [
     "read_contract",
     "robot_hash",
 ]
-FORMAT = 3
+FORMAT = 4
 CHECKSUM = "sha256"  # key of the checksum over the rest of the JSON
 
 
@@ -159,8 +159,8 @@ def parse_contract(text: str) -> Contract:
     found = content.get("format")
     if type(found) is int and 0 < found < FORMAT:
         raise ContractError(
-            f"it has format {found}, which knows neither limits of readings nor a safe command; gctd3 "
-            f"{gctd3.__version__} reads format {FORMAT}: export the policy again (python -m gctd3.export run=DIR)."
+            f"it has format {found}, of an older gctd3; gctd3 {gctd3.__version__} reads format {FORMAT}: export the "
+            "policy again (python -m gctd3.export run=DIR)."
         )
     if type(found) is not int or found != FORMAT:
         raise ContractError(f"it has format {shown(found)}; gctd3 {gctd3.__version__} reads format {FORMAT}.")

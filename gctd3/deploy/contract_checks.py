@@ -32,6 +32,8 @@ def contradictions(contract: Contract) -> Iterator[str]:
                 yield f"node {node.name!r} has a last action, and no servo drives it"
             if (feature.source == CLOCK) != (0 < feature.clock_hz <= MOST_RATE and abs(feature.clock_phase) <= 1):
                 yield f"a feature of node {node.name!r} is a clock without a frequency, or has one and is none"
+            if feature.slew_rate < 0 or (feature.slew_rate and feature.source != COMMAND):
+                yield f"a feature of node {node.name!r} has a slew rate below 0, or has one and is no command"
             yield from _feature(node.name, feature)
     for servo in contract.servos:
         yield from _servo(servo)

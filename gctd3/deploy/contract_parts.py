@@ -26,6 +26,8 @@ class Feature:
         clock_hz: With the source ``clock``, which the policy itself knows, the feature is ``sin(2 pi (clock_hz t +
             clock_phase))`` at the time ``t`` since the first reading after a reset (Hz).
         clock_phase: Of the same (periods).
+        slew_rate: Largest change of a command a second; the policy itself approaches the one that it is given, from the
+            one that is nearest to 0 on. 0 for a command that jumps, and for readings.
     """
 
     reading: str | None
@@ -39,6 +41,7 @@ class Feature:
     zero: float = 0.0
     clock_hz: float = 0.0
     clock_phase: float = 0.0
+    slew_rate: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -63,6 +63,7 @@ def _contract(contract: Contract) -> str:
         _array("double", "LEAST", (repr(f.low) for f in features)),
         _array("double", "MOST", (repr(f.high) for f in features)),
         _array("double", "ZERO", (repr(f.zero) for f in features)),
+        _array("double", "SLEW", (repr(f.slew_rate / contract.control_rate_hz) for f in features)),
         _array("bool", "BINARY", (_bool(f.binary) for f in features)),
         _array("int", "PLACE", map(str, placed)),
         # An array of no numbers is not allowed.

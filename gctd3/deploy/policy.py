@@ -94,6 +94,7 @@ class Policy:
     def _forget(self) -> None:
         """Forget the history and the clock."""
         self._frames: np.ndarray | None = None
+        self._told = self._readings.at_rest
         self._action = np.zeros(len(self.contract.servos), dtype=np.float32)
         self._time = self._frame_time = -math.inf
         self._began: float | None = None
@@ -160,7 +161,9 @@ class Policy:
             time: Time of the readings (s), on any steady clock.
             now: Current time of that clock (s); if given, readings older than a control period are refused.
             command: Value of each of ``contract.commands`` for this step, within its range, of a policy that follows
-                commands: ``{"command_forward_m_s": 0.5, "command_side_m_s": 0.0, "command_turn_rad_s": 0.0}``.
+                commands: ``{"command_forward_m_s": 0.5, "command_side_m_s": 0.0, "command_turn_rad_s": 0.0}``. The
+                policy is told commands that approach it by at most ``slew_rate`` a second, as in its training, from
+                standing still on.
 
         Returns:
             Desired joint angles by the name of the actuator (rad), within the servos' limits.
@@ -173,9 +176,12 @@ class Policy:
         self._starting = self.at_home = False
         try:
             when = self._at(time, now)
-            values = self._read(readings, command)
+            anew = self._frames is None or self._missed(when) >= self.contract.safety.hold_periods + 0.5
+            last = self._readings.at_rest if anew else self._told
+            told = self._readings.approached(self._read(readings, command), last)
             began = when if self._began is None else self._began
-            stack = self._history(self._readings.frame(values, self._action, when - began), when)
+            frame = self._readings.frame(told, self._action, when - began)
+            stack = self._history(None if anew else self._frames, frame, when)
             action = self._run(stack)
         except RefusalError as refusal:
             raise self._refuse(refusal) from None
@@ -184,6 +190,7 @@ class Policy:
         allowed = np.clip(desired, last - self._most, last + self._most)
         self.limited += int((allowed != desired).any())
         self._frames, self._frame_time, self._action, self._began = stack, when, action, began
+        self._told = told
         self._safe.accept(allowed)
         return self.command
 
@@ -238,13 +245,16 @@ class Policy:
             raise RefusalError(self.stopped)
         return values
 
-    def _history(self, frame: np.ndarray, when: float) -> np.ndarray:
-        """Return the history with a new frame, shape ``[frames, N, features]``."""
+    def _missed(self, when: float) -> float:
+        """Return how many periods were missed since the last frame."""
+        return max((when - self._frame_time) / self._period - 1.0, 0.0)
+
+    def _history(self, before: np.ndarray | None, frame: np.ndarray, when: float) -> np.ndarray:
+        """Return the history with a new frame, shape ``[frames, N, features]``; a new one if there is none before."""
         frames = self.contract.history_frames
-        missed = max((when - self._frame_time) / self._period - 1.0, 0.0)
-        if self._frames is None or missed >= self.contract.safety.hold_periods + 0.5:
+        if before is None:
             return np.stack([frame] * frames)
-        filled = [self._frames, *[self._frames[-1:]] * min(round(missed), frames), frame[None]]
+        filled = [before, *[before[-1:]] * min(round(self._missed(when)), frames), frame[None]]
         return np.concatenate(filled)[-frames:]
 
     def _run(self, stack: np.ndarray) -> np.ndarray:

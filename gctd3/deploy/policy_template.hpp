@@ -200,16 +200,22 @@ class Policy {
   const char* advance(const double* readings, double time) {
     if (const char* reason = check_time(time)) return reason;
     if (const char* reason = check(readings)) return reason;
+    double missed = (time - frame_time_) / PERIOD - 1.0;
+    missed = missed < 0.0 ? 0.0 : missed;
+    const bool anew = !filled_ || missed >= HOLD + 0.5;
+    // Commands with a slew rate are approached, from the one that is nearest to 0 on.
+    double told[READINGS];
+    for (int i = 0; i < READINGS; ++i) {
+      const double last = anew ? clip(0.0, LEAST[i], MOST[i]) : told_[i], away = readings[i] - last;
+      told[i] = SLEW[i] > 0.0 && std::fabs(away) > SLEW[i] ? last + std::copysign(SLEW[i], away) : readings[i];
+    }
     float frame[NODES * FEATURES] = {};
-    for (int i = 0; i < READINGS; ++i) frame[PLACE[i]] = static_cast<float>(readings[i] - ZERO[i]);
+    for (int i = 0; i < READINGS; ++i) frame[PLACE[i]] = static_cast<float>(told[i] - ZERO[i]);
     for (int i = 0; i < OWN; ++i) frame[OWN_PLACE[i]] = action_[OWN_SERVO[i]];
     const double elapsed = filled_ ? time - began_ : 0.0;
     for (int i = 0; i < CLOCKS; ++i)
       frame[CLOCK_PLACE[i]] = static_cast<float>(std::sin(TURN * (CLOCK_HZ[i] * elapsed + CLOCK_PHASE[i])));
     float history[FRAMES][NODES * FEATURES];
-    double missed = (time - frame_time_) / PERIOD - 1.0;
-    missed = missed < 0.0 ? 0.0 : missed;
-    const bool anew = !filled_ || missed >= HOLD + 0.5;
     // Halves are rounded to the even number, as Python does.
     const int repeats = anew ? 0 : static_cast<int>(std::nearbyint(missed));
     for (int f = 0; f < FRAMES; ++f) {
@@ -231,6 +237,7 @@ class Policy {
       angles_[i] = clip(clip(desired, angles_[i] - MOST_CHANGE[i], angles_[i] + MOST_CHANGE[i]), LOW[i], HIGH[i]);
     }
     for (int f = 0; f < FRAMES; ++f) network::copy(history[f], history_[f], NODES * FEATURES);
+    for (int i = 0; i < READINGS; ++i) told_[i] = told[i];
     network::copy(action, action_, SERVOS);
     if (!filled_) began_ = time;
     filled_ = true;
@@ -239,7 +246,7 @@ class Policy {
     return nullptr;
   }
 
-  double angles_[SERVOS] = {}, time_ = NEVER, frame_time_ = NEVER, began_ = 0.0, late_ = 0.0;
+  double angles_[SERVOS] = {}, told_[READINGS] = {}, time_ = NEVER, frame_time_ = NEVER, began_ = 0.0, late_ = 0.0;
   float action_[SERVOS] = {}, history_[FRAMES][NODES * FEATURES] = {}, scratch_[@SCRATCH@] = {};
   int periods_ = 0;
   bool filled_ = false, late_known_ = false, starting_ = false, stopped_ = false,

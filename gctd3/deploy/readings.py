@@ -33,6 +33,10 @@ class Readings:
         self._sensors, self._commands = contract.readings, tuple(contract.commands)
         # The command to stand, or the one that is nearest to it.
         self.still = {name: min(max(0.0, low), high) for name, (low, high) in contract.commands.items()}
+        # Of each reading, by name in their order; what has no slew rate is not approached, but what it is.
+        self.at_rest = np.array([self.still.get(name, 0.0) for name in names])
+        rates = np.array([feature.slew_rate for feature in features])
+        self._most = np.where(rates > 0, rates / contract.control_rate_hz, math.inf)
         self._shape = len(contract.nodes), len(contract.nodes[0].features)
         self._node, self._feature = np.array(places).T
         self._low, self._high = np.array([[f.low, f.high] for f in features]).T
@@ -79,6 +83,16 @@ class Readings:
             else:
                 continue
             raise RefusalError(f"{name} must be {expected}, got {shown(given[name])}.")
+
+    def approached(self, values: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Return the values with commands that change by no more than in a control step of the training, shape ``[R]``.
+
+        Args:
+            values: Values of the readings, shape ``[R]``.
+            last: The same of the last step as this returned them, :attr:`at_rest` before the first one.
+        """
+        away = values - last
+        return np.where(np.abs(away) <= self._most, values, last + np.copysign(self._most, away))
 
     def frame(self, values: np.ndarray, action: np.ndarray, elapsed: float) -> np.ndarray:
         """Return the features of every node in one frame, ``float32 [N, features]``.

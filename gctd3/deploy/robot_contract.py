@@ -148,7 +148,10 @@ def _feature(
         return Feature(reading.name, reading.meaning, unit, source, 0.0, 1.0, 0.0, True)
     commands = task.command_ranges()
     if source == COMMAND and reading.name in commands:
-        return Feature(reading.name, reading.meaning, unit, source, *commands[reading.name], zero=reading.zero)
+        slew = task.command_slew_rates().get(reading.name, 0.0)
+        return Feature(
+            reading.name, reading.meaning, unit, source, *commands[reading.name], zero=reading.zero, slew_rate=slew
+        )
     low, high, margin = _limits(task.robot, node, reading, least + reading.zero, most + reading.zero)
     return Feature(reading.name, reading.meaning, unit, source, low, high, margin, False, reading.zero)
 

@@ -28,9 +28,9 @@ def examine(
     """Evaluate a policy under each command of a grid and return the results, ready for JSON.
 
     ``mean_abs_error`` is the mean absolute difference of the robot's velocity in each control step from the command,
-    ``mean`` the mean velocity, both without the first second of each episode; ``None`` for a command under which no
-    robot stood for longer. A command is ``followed`` if no robot fell and the mean velocity is within 0.15 m/s and 0.2
-    rad/s of it.
+    ``mean`` the mean velocity, both from a second on after the command has got to where it is held; ``None`` for a
+    command under which no robot stood for longer. A command is ``followed`` if no robot fell and the mean velocity is
+    within 0.15 m/s and 0.2 rad/s of it.
 
     Args:
         policy: The policy.
@@ -41,7 +41,8 @@ def examine(
     """
     rows = grid.commands(task.commands[NAME].box)
     every = np.repeat(rows, grid.starts, axis=0)
-    held = task.with_commands({NAME: HeldCommand(rows=tuple(map(tuple, every)))}, round(grid.seconds / task.control_dt))
+    order = HeldCommand(rows=tuple(map(tuple, every)), like=task.commands[NAME])
+    held = task.with_commands({NAME: order}, round(grid.seconds / task.control_dt))
     made = build_env(held, env.for_evaluation(len(every), env.threads), seed)
     episodes = evaluate(policy, made, held, seed).episodes
     each = [episodes[i : i + grid.starts] for i in range(0, len(episodes), grid.starts)]

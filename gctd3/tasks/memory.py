@@ -133,8 +133,11 @@ class EpisodeMemory:
                 f"task.commands.{name} must draw {[count, command.size]} numbers, got {list(drawn.shape)}."
             )
         drawn = drawn.reshape(*shape, command.size)
-        left = period(command.every, self.facts.control_dt)
-        return {f"{COMMAND}{name}": drawn, f"{COMMAND}{name}.left": np.full(shape, left, dtype=np.int64)}
+        key, left = f"{COMMAND}{name}", period(command.every, self.facts.control_dt)
+        timer = {f"{key}.left": np.full(shape, left, dtype=np.int64)}
+        if command.slew_rates is None:
+            return {key: drawn, **timer}
+        return {key: np.broadcast_to(command.still, drawn.shape).copy(), target_of(key): drawn, **timer}
 
     def _next(
         self,
@@ -145,16 +148,27 @@ class EpisodeMemory:
         after: Memory,
     ) -> Memory:
         key, timer = f"{COMMAND}{name}", f"{COMMAND}{name}.left"
-        left = before[timer] - 1
-        over = np.asarray(left <= 0)
-        if not over.any():
-            return {key: before[key], timer: left}
-        # Rows for all robots are drawn, so that the number of due robots does not change the others' commands.
-        fresh = self._drawn(name, command, over.shape, rng, after)
-        return {
-            key: np.where(over[..., None], fresh[key], before[key]),
-            timer: np.where(over, fresh[timer], left),
-        }
+        left, rates = before[timer] - 1, command.slew_rates
+        drawn = key if rates is None else target_of(key)
+        now, over = before[drawn], np.asarray(left <= 0)
+        if over.any():
+            # Rows for all robots are drawn, so that the number of due robots does not change the others' commands.
+            fresh = self._drawn(name, command, over.shape, rng, after)
+            now, left = np.where(over[..., None], fresh[drawn], now), np.where(over, fresh[timer], left)
+        if rates is None:
+            return {key: now, timer: left}
+        return {key: approached(before[key], now, rates * self.facts.control_dt), drawn: now, timer: left}
+
+
+def target_of(command: str) -> str:
+    """Return the name of the array that a command of the memory approaches, which has slew rates."""
+    return f"{command}.target"
+
+
+def approached(now: np.ndarray, target: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Return numbers that are by at most ``most`` nearer to a target, and the target where it is as near as that."""
+    away = target - now
+    return np.where(np.abs(away) <= most, target, now + np.copysign(most, away))
 
 
 def _generator(rng: Generator | None) -> Generator:

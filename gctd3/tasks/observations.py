@@ -141,3 +141,7 @@ class TaskObservations:
     def command_ranges(self) -> dict[str, tuple[float, float]]:
         """Return the range of each number of the commands by the name of its reading; empty for a task without."""
         return {}
+
+    def command_slew_rates(self) -> dict[str, float]:
+        """Return the largest change a second of each number of the commands by its reading; of those that jump none."""
+        return {}

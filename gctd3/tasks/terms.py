@@ -368,6 +368,19 @@ class Command(Term):
         """Draw a command for each robot of a memory, shape ``[count, K]``; a curriculum reads its arrays there."""
         return self(rng, count)
 
+    @property
+    def slew_rates(self) -> np.ndarray | None:
+        """Return by how much each number changes a second at most, shape ``[K]``; ``None`` for a command that jumps.
+
+        With rates an episode begins with the command :attr:`still`, and each drawn one is approached.
+        """
+        return None
+
+    @property
+    def still(self) -> np.ndarray:
+        """Return the command of a robot that is at rest, shape ``[K]``."""
+        return np.zeros(self.size)
+
     def fitted(self, facts: RobotFacts) -> Command:
         """Return the command for a robot, such as one without what its base cannot do."""
         return self

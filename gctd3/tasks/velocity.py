@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar
 
-import numpy as np
-
 from gctd3.errors import ConfigError
 from gctd3.robots.array_library import array_namespace
 from gctd3.robots.settings import RobotSettings
@@ -155,11 +153,15 @@ class VelocityTask(SimulatedTask):
 
         It holds 0 if some commands are to stand.
         """
-        command, known = self.commands[NAME], set(_names(self.table))
-        box = command.box
-        if command.standing:
-            box = np.stack([np.minimum(box[:, 0], 0.0), np.maximum(box[:, 1], 0.0)], axis=-1)
-        return {name: (low, high) for name, (low, high) in zip(COMMANDS, box.tolist(), strict=True) if name in known}
+        known, reach = set(_names(self.table)), self.commands[NAME].reach.tolist()
+        return {name: (low, high) for name, (low, high) in zip(COMMANDS, reach, strict=True) if name in known}
+
+    def command_slew_rates(self) -> dict[str, float]:
+        """Return by how much each number of the command changes a second at most, by the name of its reading."""
+        known, rates = set(_names(self.table)), self.commands[NAME].slew_rates
+        if rates is None:
+            return {}
+        return {name: rate for name, rate in zip(COMMANDS, rates.tolist(), strict=True) if name in known}
 
 
 def _names(table: FeatureTable) -> list[str]:

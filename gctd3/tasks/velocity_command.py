@@ -47,13 +47,14 @@ def averaged(time: float) -> Remembered:
 
 @dataclass(frozen=True)
 class _Travel:
-    """Sum the velocities since the command was drawn."""
+    """Sum by how much a robot moves faster than commanded since the command was drawn."""
 
     every: float
 
     def __call__(self, before: Array, step: Step) -> Array:
         begins = step.before[f"{VELOCITY}.left"] == period(self.every, step.facts.control_dt)
-        return step.xp.where(begins[..., None], 0.0, before) + velocities(step.now, step.facts)
+        # On its way to the one that was drawn the command changes with each step.
+        return step.xp.where(begins[..., None], 0.0, before) + velocities(step.now, step.facts) - step.before[VELOCITY]
 
 
 @dataclass(frozen=True)
@@ -67,8 +68,7 @@ class _Widen:
 
     def __call__(self, before: Array, step: Step) -> Array:
         xp, left = step.xp, step.before[f"{VELOCITY}.left"]
-        travelled = self.travel(step.before[TRAVELLED], step)
-        off = travelled / period(self.travel.every, step.facts.control_dt) - step.before[VELOCITY]
+        off = self.travel(step.before[TRAVELLED], step) / period(self.travel.every, step.facts.control_dt)
         near = xp.sqrt(off[..., 0] ** 2 + off[..., 1] ** 2) <= self.error
         followed = near & (xp.abs(off[..., 2]) <= self.turn_error)
         width = xp.clip(before + xp.where(followed, self.by, -self.by / 2), 0.0, 1.0)
@@ -83,6 +83,10 @@ class VelocityCommand(Command):
     followed on average its box is wider by a share :attr:`widen`, up to the whole one, and after one that it did not
     follow narrower by half of that. Evaluations draw from the whole box.
 
+    What a robot is told changes by at most :attr:`acceleration`, from standing still at the beginning of an episode on,
+    since no body can follow a jump of the command, and most falls came with one, as from fast forward to backward.
+    Exported policies limit what they are told in the same way.
+
     Attributes:
         forward: Lowest and highest velocity forward; negative is backward (m/s).
         side: Lowest and highest velocity to the left; negative is to the right (m/s).
@@ -92,6 +96,8 @@ class VelocityCommand(Command):
             the spot, or all at once, which few of the commands in between are like.
         begin: Lowest and highest velocity forward of the first commands (m/s); ``None`` for the whole box from the
             beginning.
+        acceleration: Largest change of the command a second, forward, to the left and of the yaw rate (m/s^2, m/s^2,
+            rad/s^2); ``None`` for one that jumps.
         widen: Share of the box that is added after a command that was followed.
         error: Largest distance of the mean velocity from the command with which it counts as followed (m/s).
         turn_error: The same of the mean yaw rate (rad/s).
@@ -103,6 +109,7 @@ class VelocityCommand(Command):
     standing: float = 0.1
     extreme: float = 0.3
     begin: Sequence[float] | None = None
+    acceleration: Sequence[float] | None = (2.0, 2.0, 4.0)
     widen: float = 0.2
     error: float = 0.25
     turn_error: float = 0.3
@@ -115,6 +122,9 @@ class VelocityCommand(Command):
         for name in ("error", "turn_error"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} must be above 0, got {getattr(self, name)}.")
+        given = self.acceleration
+        if given is not None and (len(given) != len(AXES) or not all(0 < value < math.inf for value in given)):
+            raise ConfigError(f"acceleration must be three numbers above 0, or null, got {list(given)}.")
         if self.begin is not None:
             _check_range("begin", self.begin)
             (low, high), (first, last) = self.forward, self.begin
@@ -130,6 +140,22 @@ class VelocityCommand(Command):
     def box(self) -> np.ndarray:
         """Return the lowest and the highest number of each axis, shape ``[3, 2]`` (m/s, m/s, rad/s)."""
         return np.array([self.forward, self.side, self.turn], dtype=np.float64)
+
+    @property
+    def reach(self) -> np.ndarray:
+        """Return :attr:`box`, with 0 in it if some commands are to stand, shape ``[3, 2]`` (m/s, m/s, rad/s)."""
+        low, high = self.box.T
+        return np.stack([np.minimum(low, 0.0), np.maximum(high, 0.0)], axis=-1) if self.standing else self.box
+
+    @property
+    def slew_rates(self) -> np.ndarray | None:
+        """Return the largest change of the command a second, shape ``[3]`` (m/s^2, m/s^2, rad/s^2)."""
+        return None if self.acceleration is None else np.array(self.acceleration, dtype=np.float64)
+
+    @property
+    def still(self) -> np.ndarray:
+        """Return the command to stand, or the one that is nearest to it, shape ``[3]``."""
+        return np.clip(np.zeros(len(AXES)), *self.reach.T)
 
     def fitted(self, facts: RobotFacts) -> VelocityCommand:
         """Return the command for a robot: without the axes along which its base cannot move."""
@@ -181,15 +207,27 @@ class HeldCommand(Command):
 
     Attributes:
         rows: A command for each robot; robots beyond the last one begin again with the first.
+        like: Command of the task, which says from where and how fast these are approached; ``None`` for at once.
     """
 
     every: float = 1e6
     rows: Sequence[Sequence[float]] = ((0.0, 0.0, 0.0),)
+    like: Command | None = None
 
     @property
     def size(self) -> int:
         """Return the length of the command."""
         return len(self.rows[0])
+
+    @property
+    def slew_rates(self) -> np.ndarray | None:
+        """Return the largest change of the command a second, shape ``[3]``; ``None`` for one that jumps."""
+        return None if self.like is None else self.like.slew_rates
+
+    @property
+    def still(self) -> np.ndarray:
+        """Return the command with which an episode begins, shape ``[3]``."""
+        return super().still if self.like is None else self.like.still
 
     def __call__(self, rng: np.random.Generator | np.random.RandomState, count: int) -> np.ndarray:
         """Return the robots' commands, shape ``[count, 3]``."""

@@ -30,7 +30,7 @@ def add_command_controls(gui: viser.GuiApi, live: LiveWalk, slider: Slider, on: 
     """
     if not live.ranges:
         return
-    command = np.zeros(3) if live.now.command is None else live.now.command
+    command = np.zeros(3) if live.asked is None else live.asked
     with gui.add_folder("Command"):
         sliders = {}
         for axis, (low, high) in live.ranges.items():

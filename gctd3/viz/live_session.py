@@ -15,9 +15,10 @@ from gctd3.envs.settings import EnvSettings
 from gctd3.envs.simulation import Simulation
 from gctd3.robots.mjcf import bodies_below, body_name, colliding_geoms
 from gctd3.robots.robot import Robot
+from gctd3.tasks.memory import target_of
 from gctd3.tasks.simulated_task import SimulatedTask
 from gctd3.tasks.terminations import MOST_STEPS
-from gctd3.tasks.velocity_command import SWAY, VELOCITY, velocities
+from gctd3.tasks.velocity_command import NAME, SWAY, VELOCITY, velocities
 from gctd3.tasks.velocity_features import COMMANDS
 from gctd3.viz.terrain_view import ray_points
 
@@ -46,8 +47,8 @@ class Moment:
         feet_down: Whether each foot touches the ground, shape ``[feet]``.
         done: Whether the episode has ended.
         success: Whether it ended at the finish.
-        command: Commanded velocity forward, to the left and turning, shape ``[3]`` (m/s, m/s, rad/s); ``None`` for a
-            task without it.
+        command: Commanded velocity forward, to the left and turning, shape ``[3]`` (m/s, m/s, rad/s), on its way to
+            the one that was drawn or steered; ``None`` for a task without it.
         moved: The robot's velocities of the same kind, averaged over half a second, shape ``[3]``; ``None`` for a task
             without commands.
         rays: Where the rays of height scans meet the terrain, shape ``[K, 3]`` (m, in the world).
@@ -143,8 +144,18 @@ class LiveWalk:
         """Return the range of each axis along which the robot can be steered, by its place in a command."""
         return {axis: (float(low), float(high)) for axis, (low, high) in zip(self._axes, self._box, strict=True)}
 
+    @property
+    def asked(self) -> np.ndarray | None:
+        """Return the command that was steered or drawn last, shape ``[3]`` (m/s, m/s, rad/s); ``None`` without one."""
+        memory = self.simulation.memory
+        found = memory.get(target_of(VELOCITY), memory.get(VELOCITY))
+        return None if found is None else found[0].copy()
+
     def steer(self, command: np.ndarray) -> None:
-        """Set the commanded velocity ``[3]`` (m/s, m/s, rad/s) from the next step on, within the training's ranges."""
+        """Set the commanded velocity ``[3]`` (m/s, m/s, rad/s), within the training's ranges.
+
+        From the next step on the command approaches it by as much a second as in the training.
+        """
         wanted = np.zeros(3)
         for axis, (low, high) in self.ranges.items():
             wanted[axis] = np.clip(command[axis], low, high)
@@ -154,8 +165,9 @@ class LiveWalk:
     def _order(self, command: np.ndarray) -> None:
         simulation = self.simulation
         # It holds until the next one, whatever the task draws.
-        held = {VELOCITY: command[None], f"{VELOCITY}.left": np.array([MOST_STEPS])}
-        simulation.memory = {**simulation.memory, **held}
+        approached = self.task.commands[NAME].slew_rates is not None
+        held = {target_of(VELOCITY) if approached else VELOCITY: command[None]}
+        simulation.memory = {**simulation.memory, **held, f"{VELOCITY}.left": np.array([MOST_STEPS])}
 
     def _average(self) -> np.ndarray | None:
         """Return the robot's velocities, averaged over half a second: a body sways with every step."""

@@ -13,6 +13,7 @@ from small_policies import (
     answers,
     compiled,
     following_contract,
+    slewing_contract,
     small_contract,
     small_model,
     ticking_contract,
@@ -159,7 +160,13 @@ def test_numbers_of_a_header_are_the_files(exported):
 
 @needs_compiler
 @pytest.mark.parametrize(
-    "contract_of", [pytest.param(small_contract, marks=pytest.mark.nightly), following_contract, ticking_contract]
+    "contract_of",
+    [
+        pytest.param(small_contract, marks=pytest.mark.nightly),
+        pytest.param(following_contract, marks=pytest.mark.nightly),
+        slewing_contract,
+        ticking_contract,
+    ],
 )
 def test_the_headers_policy_is_pythons_over_good_and_bad_calls(tmp_path, contract_of):
     """The same calls to both: the same refusals, the same commands; readings, times, tilts, starts and resets."""

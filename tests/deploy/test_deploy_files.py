@@ -42,12 +42,12 @@ DAMAGE = {
         lambda f: f.with_suffix(".json").write_text(f.with_suffix(".json").read_text().replace("50.0", "500.0")),
         "damaged or was edited",
     ),
-    "a later format": (lambda f: edited(f.with_suffix(".json"), format=4), "has format 4; gctd3 .* reads format 3"),
+    "a later format": (lambda f: edited(f.with_suffix(".json"), format=5), "has format 5; gctd3 .* reads format 4"),
     "an earlier format": (
         lambda f: edited(f.with_suffix(".json"), format=2),
-        "has format 2, which knows neither limits of readings nor a safe command; .* export the policy again",
+        "has format 2, of an older gctd3; .* reads format 4: export the policy again",
     ),
-    "no format": (lambda f: edited(f.with_suffix(".json"), format=True), "has format True; gctd3 .* reads format 3"),
+    "no format": (lambda f: edited(f.with_suffix(".json"), format=True), "has format True; gctd3 .* reads format 4"),
     "an unknown key": (lambda f: edited(f.with_suffix(".json"), colour="red"), "unknown keys: colour"),
     "a wrong type": (
         lambda f: edited(f.with_suffix(".json"), history_frames="5"),

@@ -15,6 +15,7 @@ from small_policies import (
     RATE,
     TILT,
     following_contract,
+    slewing_contract,
     small_contract,
     ticking_contract,
     write_policy,
@@ -284,6 +285,36 @@ def test_a_command_is_given_apart_from_the_readings(tmp_path):
     # To the home pose the robot goes without a command.
     policy.start(upright)
     assert len(network.seen) == 2
+
+
+def test_a_command_with_a_slew_rate_is_approached(tmp_path):
+    """By 0.4 a control period, from 0 on, whatever was refused between; anew after more than the missed periods."""
+    policy = Policy(write_policy(tmp_path, slewing_contract(frames=1)))
+    network, upright = Fixed(0.0, 0.0), good(policy, gravity_up=-1.0)
+    policy._session = network
+
+    def told(period, asked):
+        policy.step(upright, period * P, command={"asked": asked})
+        return float(network.seen[-1][0, 0, 1])
+
+    given = [told(i, asked) for i, asked in enumerate((1.0, 1.0, 1.0, -2.0, -2.0))]
+    np.testing.assert_allclose(given, [0.4, 0.8, 1.0, 0.6, 0.2], atol=1e-6)
+    refused(policy, upright, 5 * P, {"asked": 2.5})
+    # A missed period is one in which the command did not change.
+    np.testing.assert_allclose([told(6, 2.0), told(7, 2.0)], [0.6, 1.0], atol=1e-6)
+    refused(policy, upright, (9 + HOLD) * P, {"asked": 2.0})
+    np.testing.assert_allclose(told(10 + HOLD, 2.0), 0.4, atol=1e-6)
+    policy.reset()
+    np.testing.assert_allclose(told(0, -0.1), -0.1, atol=1e-6)
+
+
+@pytest.mark.parametrize("change", [{"slew_rate": -1.0}, {"slew_rate": 1.0, "source": "joint encoder"}])
+def test_a_slew_rate_of_no_command_is_refused(change):
+    contract = following_contract()
+    asked = dataclasses.replace(contract.nodes[0].features[1], **change)
+    body = Node("body", (contract.nodes[0].features[0], asked))
+    with pytest.raises(ContractError, match="a feature of node 'body' has a slew rate below 0, or has one and is no"):
+        dataclasses.replace(contract, nodes=(body, *contract.nodes[1:]))
 
 
 @pytest.mark.parametrize(

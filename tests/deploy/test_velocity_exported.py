@@ -11,6 +11,7 @@ from gctd3.deploy.cpp_policy import to_cpp
 from gctd3.envs.factory import build_env
 from gctd3.errors import ReadingError
 from gctd3.runs.load import load_run
+from gctd3.tasks.memory import target_of
 from gctd3.tasks.velocity_command import VELOCITY
 
 pytest.importorskip("onnx")
@@ -37,12 +38,14 @@ def test_every_reading_names_its_source_and_commands_their_range(file):
     assert {sources[f"{axis}_rate_rad_s"] for axis in ("pitch", "roll", "yaw")} == {"IMU gyroscope"}
     assert [name for name, source in sources.items() if source == "command"] == list(contract.commands)
     assert contract.commands == RANGES
+    rates = [f.slew_rate for node in contract.nodes for f in node.features if f.reading in RANGES]
+    assert sorted(rates) == [2.0, 2.0, 4.0]
     assert len(contract.own_actions) == 12 and not RANGES.keys() & set(contract.readings)
     assert contract.safety.tilt_readings == ("gravity_up",)
 
 
 def test_the_networks_input_is_the_environments(file, finished):
-    """Over a second of control steps with random actions and another command from the middle on."""
+    """Over a second of random actions; another command from the middle on is approached by both alike."""
     policy, run = Policy(file), load_run(finished["velocity"])
     task = run.task("export")
     env = build_env(task, run.settings.env.for_evaluation(1, 1), 3)
@@ -56,14 +59,15 @@ def test_the_networks_input_is_the_environments(file, finished):
             return [actions[-1].numpy()]
 
     policy._session = Watching()
-    state, expected, orders = env.reset(), [], set()
+    state, expected, orders, told = env.reset(), [], set(), []
     place = {f.reading: (i, k) for i, n in enumerate(policy.contract.nodes) for k, f in enumerate(n.features)}
     zero = {f.reading: f.zero for n in policy.contract.nodes for f in n.features}
     for step in range(50):
         frame = task.node_features(simulation.now, simulation.memory)[0]
         now = {name: float(frame[place[name]]) + zero[name] for name in policy.contract.readings}
-        order = dict(zip(RANGES, simulation.memory[VELOCITY][0].tolist(), strict=True))
+        order = dict(zip(RANGES, simulation.memory[target_of(VELOCITY)][0].tolist(), strict=True))
         orders.add(tuple(order.values()))
+        told.append(simulation.memory[VELOCITY][0])
         policy.step(now, step * task.control_dt, command=order)
         expected.append(state["nodes"].numpy().copy())
         if state["done"].any():
@@ -72,6 +76,7 @@ def test_the_networks_input_is_the_environments(file, finished):
             simulation.memory = {**simulation.memory, f"{VELOCITY}.left": np.array([1])}
         state = env.step(state.set("action", actions[-1]))["next"]
     assert len(seen) == len(expected) == 50 and len(orders) == 2
+    assert (np.abs(np.diff(told, axis=0)).max(axis=0) <= np.array([0.04, 0.04, 0.08]) + 1e-12).all() and any(told[1])
     np.testing.assert_allclose(np.concatenate(seen), np.concatenate(expected), atol=2e-6)
 
 

@@ -16,6 +16,7 @@ from gctd3.errors import ConfigError
 from gctd3.robots.settings import RobotSettings
 from gctd3.tasks.features import Sensed
 from gctd3.tasks.heading import gravity, heading_velocity, yaw_rate
+from gctd3.tasks.memory import target_of
 from gctd3.tasks.randomisations import JointNoise
 from gctd3.tasks.reward import Reward
 from gctd3.tasks.terms import Step
@@ -245,6 +246,41 @@ def test_some_commands_are_at_the_ends_of_the_box():
             assert (drawn[:, axis] == value).mean() == pytest.approx(0.3 * share, abs=0.02)
 
 
+def test_a_robot_is_told_by_how_much_a_second_it_is_to_speed_up(quadruped):
+    """From standing to the drawn command by 0.5 m/s^2 forward, 10 to the side and 1 rad/s^2, then to the next one."""
+    command = VelocityCommand(every=0.5, standing=0.0, extreme=0.0, acceleration=(0.5, 10.0, 1.0))
+    simulation = everyone(Simulation(quadruped.with_commands({"velocity": command}), 3, threads=1))
+    most, told, targets = np.array([0.01, 0.2, 0.02]), np.zeros((3, 3)), []
+    np.testing.assert_array_equal(simulation.memory[VELOCITY], told)
+    for _ in range(60):
+        simulation.step(np.zeros((3, quadruped.facts.actions)))
+        targets.append(simulation.memory[target_of(VELOCITY)])
+        told = told + np.clip(targets[-1] - told, -most, most)
+        np.testing.assert_allclose(simulation.memory[VELOCITY], told, atol=1e-12)
+    assert len({tuple(target[0]) for target in targets}) == 3
+    # To the side it gets there, to the digit.
+    np.testing.assert_array_equal(simulation.memory[VELOCITY][:, 1], targets[-1][:, 1])
+    jumping = quadruped.with_commands({"velocity": replace(command, acceleration=None)})
+    memory = everyone(Simulation(jumping, 3, threads=1)).memory
+    assert memory[VELOCITY].all() and target_of(VELOCITY) not in memory
+
+
+@pytest.mark.parametrize("standing", [0.0, 0.1])
+def test_an_episode_begins_with_standing_or_what_is_next_to_it(standing):
+    command = VelocityCommand(forward=(0.3, 1.5), side=(-0.4, -0.1), turn=(-1.0, 1.0), standing=standing)
+    assert command.still.tolist() == ([0.0, 0.0, 0.0] if standing else [0.3, -0.1, 0.0])
+    held = HeldCommand(rows=((1.0, -0.2, 0.5),), like=command)
+    np.testing.assert_array_equal(held.still, command.still)
+    np.testing.assert_array_equal(held.slew_rates, [2.0, 2.0, 4.0])
+    assert HeldCommand().slew_rates is None
+
+
+@pytest.mark.parametrize("wrong", [(1.0, 2.0), (1.0, 0.0, 4.0), (2.0, 2.0, float("inf")), (2.0, 2.0, float("nan"))])
+def test_an_acceleration_that_is_none_is_refused(wrong):
+    with pytest.raises(ConfigError, match="acceleration must be three numbers above 0, or null, got"):
+        VelocityCommand(acceleration=wrong)
+
+
 def test_the_box_widens_from_straight_ahead_to_the_whole():
     command = VelocityCommand(forward=(-1.0, 1.0), side=(-0.4, 0.4), turn=(-0.8, 0.8), begin=(0.5, 1.0), standing=0.0)
     rng = np.random.default_rng(0)
@@ -271,7 +307,7 @@ def curriculum(command, velocities):
         memory = {**memory, **{name: one.update(memory[name], step) for name, one in arrays.items()}}
         if left > 1:
             np.testing.assert_array_equal(memory[WIDTH], 0.5)
-        np.testing.assert_allclose(memory[TRAVELLED], velocities * (steps + 1 - left))
+        np.testing.assert_allclose(memory[TRAVELLED], (velocities - [0.6, 0.0, 0.3]) * (steps + 1 - left), atol=1e-12)
     return memory[WIDTH]
 
 

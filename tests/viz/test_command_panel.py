@@ -18,8 +18,12 @@ def walk():
 
 
 def test_a_command_is_observed_and_holds(walk):
-    drawn = walk.now.command.copy()
+    drawn = walk.asked
+    np.testing.assert_array_equal(walk.now.command, 0.0)
     walk.steer(np.array([0.5, -0.2, 0.4]))
+    # By 2 m/s^2 and 4 rad/s^2, in steps of 0.02 s.
+    np.testing.assert_allclose(walk.step().command, [0.04, -0.04, 0.08])
+    np.testing.assert_allclose(walk.step().command, [0.08, -0.08, 0.16])
     names = walk.simulation.task.graph.nodes
     for _ in range(300):
         now = walk.step()
@@ -31,10 +35,12 @@ def test_a_command_is_observed_and_holds(walk):
     assert frame[names.index(f"{names[0]}_side"), 2] == pytest.approx(-0.2)
     assert frame[names.index(f"{names[0]}_yaw"), 2] == pytest.approx(0.4)
     np.testing.assert_allclose(now.moved, 0.0, atol=0.02)
-    # A new episode keeps it, and beyond the ranges it is the nearest.
-    np.testing.assert_allclose(walk.reset(6).command, [0.5, -0.2, 0.4])
+    # A new episode, which begins with standing, keeps it, and beyond the ranges it is the nearest.
+    np.testing.assert_allclose(walk.reset(6).command, 0.0)
+    np.testing.assert_allclose(walk.asked, [0.5, -0.2, 0.4])
     walk.steer(np.array([9.0, -9.0, 0.0]))
-    np.testing.assert_allclose(walk.step().command, [1.0, -0.4, 0.0])
+    np.testing.assert_allclose(walk.asked, [1.0, -0.4, 0.0])
+    np.testing.assert_allclose(walk.step().command, [0.04, -0.04, 0.0])
 
 
 def test_sliders_and_keys(walk):
@@ -69,7 +75,9 @@ def test_sliders_and_keys(walk):
             ("Forward, less", [-0.15, -0.08, 0.16]),
         ):
             wishes[label][0]()
-            np.testing.assert_allclose(walk.step().command, expected, atol=1e-9, err_msg=label)
+            # No press asks for more than eight steps of 0.02 s bring.
+            commands = [walk.step().command for _ in range(8)]
+            np.testing.assert_allclose(commands[-1], expected, atol=1e-9, err_msg=label)
         # A browser may press these keys, and may set the sliders within their ranges.
         gate = Gate({"key": handles["Forward, more"], "slider": handles["Forward, m/s"]}.get)
         press, value = {"type": "CommandTriggerMessage", "uuid": "key"}, {"type": "GuiUpdateMessage", "uuid": "slider"}
@@ -83,7 +91,7 @@ def test_sliders_and_keys(walk):
         rows = commanded(walk.now)
         assert rows[0][0] == ("command", "-0.15 m/s, -0.08 m/s, +0.16 rad/s") and rows[1][0][0] == "follows"
         wishes["Stand still"][0]()
-        np.testing.assert_allclose(walk.step().command, 0.0)
+        np.testing.assert_allclose([walk.step().command for _ in range(8)][-1], 0.0)
     finally:
         server.stop()
 
