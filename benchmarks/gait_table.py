@@ -67,10 +67,10 @@ def read_progress(file: Path) -> list[Row]:
 
 def words(row: Row) -> str:
     """An evaluation on a line."""
-    return (
-        f"{row['frames']:,.0f} steps, return {row['return_mean']:.1f}, success {row['success_rate']:.0%}, "
-        f"{row['distance_mean']:.1f} m"
-    )
+    done = f"{row['frames']:,.0f} steps, return {row['return_mean']:.1f}, "
+    if "followed_rate" in row:
+        return done + f"{row['followed_rate']:.0%} of the commands followed, falls {row['fall_rate']:.0%}"
+    return done + f"success {row['success_rate']:.0%}, {row['distance_mean']:.1f} m"
 
 
 def outcome(run: Run, cap: float) -> str:

@@ -2,12 +2,13 @@
 
     python benchmarks/peers.py peer=torchrl run=DIR [seed=0] [every=20000] [minutes=20] [threads=1]
     python benchmarks/peers.py peer=sbx-sac run=DIR robot=go2 robots=64 seconds=20 threads=2
+    python benchmarks/peers.py peer=sbx-sac run=DIR robot=go2 settings='task=velocity'
 
 ``peer=sb3`` or ``sb3-td3``: TD3 of Stable-Baselines3 with its defaults and the action noise of its documentation's TD3
 example; ``sb3-sac`` and ``sb3-ppo``: its SAC and PPO with their defaults. ``sbx-...``: the same with SBX (JAX).
 ``peer=torchrl``: TorchRL's own parts put together as in its TD3 example (``sota-implementations/td3``). All step
-``gctd3/Biped-v0`` with the task and the reward that ``python -m gctd3.train robot=...`` trains for, on the CPU, and
-bootstrap where the task truncates an episode. They are evaluated every ``every`` frames, by default as
+``gctd3/Biped-v0`` with the task and the reward that ``python -m gctd3.train robot=... SETTINGS`` trains for, on the
+CPU, and bootstrap where the task truncates an episode. They are evaluated every ``every`` frames, by default as
 gctd3's, or every ``seconds`` of training. The run's directory gets ``progress.csv``, a row for each evaluation under
 gctd3's own names, and ``recipe.json``, the hyperparameters that were used.
 
@@ -24,6 +25,7 @@ import importlib.util
 import inspect
 import json
 import logging
+import shlex
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -384,7 +386,7 @@ def installed(peer: str) -> bool:
 def main() -> None:
     """Train one peer."""
     evaluation = {"every": "", "episodes": ""}
-    several = {"robot": "biped", "robots": "1", "updates": "", "seconds": ""}
+    several = {"robot": "biped", "settings": "", "robots": "1", "updates": "", "seconds": ""}
     given = options(peer="torchrl", run="", seed="0", minutes="20", threads="1", **evaluation, **several)
     library, algorithm = parts(given["peer"])
     robots, threads, seed = int(given["robots"]), int(given["threads"]), int(given["seed"])
@@ -394,7 +396,9 @@ def main() -> None:
         raise SystemExit("run=DIR must name a directory that holds no run yet")
     torch.set_num_threads(threads)
     settings = shared_settings(
-        f"robot={given['robot']}", *(f"evaluation.{name}={given[name]}" for name in evaluation if given[name])
+        f"robot={given['robot']}",
+        *shlex.split(given["settings"]),
+        *(f"evaluation.{name}={given[name]}" for name in evaluation if given[name]),
     )
     seconds = float(given["seconds"]) if given["seconds"] else None
     evaluator = Evaluator(settings, Path(given["run"]), float(given["minutes"]), threads, seconds)

@@ -3,14 +3,18 @@ r"""Minutes until a real robot arrives, and walks: our whole command, and other 
     python benchmarks/robot_peers.py robot=go2 peers=gctd3,sb3-td3,sb3-sac,sb3-ppo,sbx-td3,sbx-sac,sbx-ppo \
         parallel=1,64 cap=20 seeds=0 out=benchmarks/results/robot_peers.json
     python benchmarks/robot_peers.py peers=sbx-sac parallel=64 updates=-1 runs=runs/more_updates
+    python benchmarks/robot_peers.py robot=go2 settings='task=velocity' own='algo=td3 network=mlp' cap=40 \
+        runs=benchmarks/results/velocity_peers out=benchmarks/results/velocity_peers.json
 
-``gctd3`` is the whole ``python -m gctd3.train robot=...`` until it ends by itself. The others are those of
+``gctd3`` is the whole ``python -m gctd3.train robot=...`` until it ends by itself. ``settings`` are
+arguments of all, which choose task and reward, ``own`` those of our command alone. The others are those of
 ``benchmarks/peers.py``: same robot, task, reward and observation through Gymnasium, with the libraries' defaults on one
 robot, and on as many robots as ours (what changes then, ``peers.py`` says). All are evaluated by one function, from the
 same starts, ours as often as it is by itself, the others every ``seconds`` of training. Evaluations count as time of
 ours, and not as time of the others.
 
-A policy arrives if every episode of an evaluation reaches the finish. Arriving is not walking: it walks if it meets the
+A policy arrives if every episode of an evaluation reaches the finish; of a task with a commanded velocity, if 90 % of
+the commands are followed, whatever falls there are. Arriving is not walking: it walks if it meets the
 conditions that end our training (``stop_when``), in as many evaluations in a row. Each training ends when it walks, or
 after ``cap`` minutes, counted from the start of its process, imports and compilation included. Ratios are of times
 over our whole command; who does not get there counts as longer than the cap.
@@ -22,9 +26,10 @@ those anew, and ``again=none`` makes none and compares those that are over. Noth
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from importlib import metadata
@@ -38,11 +43,12 @@ from time_to_gait import our_command, peer_command, race, until_interrupted
 
 from gctd3.errors import GCTD3Error
 from gctd3.files import title, write_text
+from gctd3.training.announcements import FOLLOWED
 from gctd3.training.settings import TrainSettings
 from gctd3.training.stop_when import StopWhen
 
 Criterion = Callable[[Sequence[Row]], bool]  # whether evaluations up to now, one at least, show it
-KEPT = ("robot", "cap", "seconds", "threads", "updates")  # options that trainings of one table share
+KEPT = ("robot", "settings", "own", "cap", "seconds", "threads", "updates")  # options that trainings of one table share
 OWN_PACKAGES = ("gctd3", "torch", "mujoco", "gymnasium", "numpy")
 # What is shown of a gait, with its format.
 SHOWN = {
@@ -76,8 +82,13 @@ class Cell:
 
 
 def arrives(curve: Sequence[Row]) -> bool:
-    """Whether each episode of the last evaluation reached the finish."""
-    return curve[-1]["success_rate"] >= 1.0
+    """Whether each episode of the last evaluation reached the finish, or followed nearly all commands."""
+    return all(curve[-1].get(key, 0.0) >= least for key, least in arrival(curve[-1]).items())
+
+
+def arrival(names: Container[str]) -> dict[str, float]:
+    """Return what an evaluation needs for an arrival, by the names of its metrics."""
+    return {"followed_rate": FOLLOWED} if "followed_rate" in names else {"success_rate": 1.0}
 
 
 def walking(rule: StopWhen) -> Criterion:
@@ -100,9 +111,10 @@ def train(cell: Cell, folder: Path, given: dict[str, str], settings: TrainSettin
     run, cap, threads = Run(cell.contender, cell.seed), float(given["cap"]), int(given["threads"])
     walks, mine = walking(settings.stop_when), cell.peer == BASE
     if mine:
-        line = our_command(folder, threads, f"robot={given['robot']}", f"seed={cell.seed}")
+        asked = [*shlex.split(given["settings"]), *shlex.split(given["own"])]
+        line = our_command(folder, threads, f"robot={given['robot']}", f"seed={cell.seed}", *asked)
     else:
-        shared = {key: given[key] for key in ("robot", "seconds", "threads", "updates")}
+        shared = {key: given[key] for key in ("robot", "settings", "seconds", "threads", "updates")}
         line = peer_command(**shared, peer=cell.peer, run=folder, seed=cell.seed, robots=cell.robots, minutes=cap)
     race(run, line, folder, cap, threads, stop, walks=walks, whole=mine)
     return run
@@ -117,7 +129,9 @@ def known(file: Path, given: dict[str, str]) -> Run | None:
     if not file.is_file() or given["again"] == "all":
         return None
     held = json.loads(file.read_text(encoding="utf-8"))
-    if other := [f"{key}={held['options'][key]}" for key in KEPT if held["options"][key] != given[key]]:
+    # Of files that are older than an option it had no value.
+    options = {key: held["options"].get(key, "") for key in KEPT}
+    if other := [f"{key}={value}" for key, value in options.items() if value != given[key]]:
         raise SystemExit(f"{file} was made with {', '.join(other)}: choose another runs=, or the same options")
     run = Run(**held["run"])
     return None if given["again"] == "failed" and run.outcome == "failed" else run
@@ -223,7 +237,10 @@ def gait_words(one: Result) -> str:
     """Describe a gait on a line."""
     if one.at is None:
         return "never evaluated"
-    shown = [f"{one.at['success_rate']:.0%} arrive, {one.at['distance_mean']:.1f} m"]
+    if "followed_rate" in one.at:
+        shown = [f"{one.at['followed_rate']:.0%} of the commands followed, falls {one.at['fall_rate']:.0%}"]
+    else:
+        shown = [f"{one.at['success_rate']:.0%} arrive, {one.at['distance_mean']:.1f} m"]
     shown += [form.format(one.at[key]) for key, form in SHOWN.items() if key in one.at]
     return f"{', '.join(shown)}; " + (f"misses {', '.join(one.missed)}" if one.missed else "meets all conditions")
 
@@ -232,6 +249,8 @@ def main() -> None:
     """Train what is not trained yet, and compare."""
     given = options(
         robot="go2",
+        settings="",
+        own="",
         peers=",".join((BASE, *(f"{library}-{name}" for library in ("sb3", "sbx") for name in ("td3", "sac", "ppo")))),
         parallel="",
         cap="20",
@@ -245,7 +264,7 @@ def main() -> None:
         out="",
     )
     try:
-        settings = shared_settings(f"robot={given['robot']}")
+        settings = shared_settings(f"robot={given['robot']}", *shlex.split(given["settings"]))
         source = settings.setup().robot.source
     except GCTD3Error as error:
         raise SystemExit(str(error)) from None
@@ -284,7 +303,7 @@ def main() -> None:
         "criterion": {
             "episodes": settings.evaluation.episodes,
             "seed": settings.evaluation.seed,
-            "arrives": {"success_rate": 1.0},
+            "arrives": arrival(settings.stop_when.names),
             "walks": {key: value for key, value in asdict(settings.stop_when).items() if key != "restart_after"},
         },
         "options": {key: given[key] for key in (*KEPT, "jobs")},

@@ -15,7 +15,8 @@ from gctd3.training.stop_when import StopWhen
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 RULE = StopWhen(at_least={"success_rate": 1.0, "periodic_fraction": 0.9}, at_most={"slip_speed": 0.12}, evaluations=2)
-NOTHING = {"again": "", "parallel": "", "cap": "20", "seconds": "20", "threads": "2", "seeds": "0"}
+NOTHING = {"settings": "", "own": "", "again": "", "parallel": "", "seeds": "0"}
+NOTHING |= {"cap": "20", "seconds": "20", "threads": "2"}
 
 
 @pytest.fixture(autouse=True)
@@ -62,6 +63,18 @@ def test_a_robot_walks_if_it_meets_all_conditions_so_many_times_in_a_row(bench):
     assert [bench.arrives(curve[:i]) for i in range(1, 7)] == [True, True, True, False, True, True]
     # Arrived somehow, of which no gait is known.
     assert not walks([seen(1), seen(2)])
+
+
+def test_of_a_commanded_velocity_commands_are_followed(bench):
+    """Standing for the whole episode is a success there, and no arrival; nor do falls prevent one."""
+    stands = seen(1, followed_rate=0.3, fall_rate=0.0, error_side=0.2)
+    curve = [stands, seen(2, 0.8, followed_rate=0.91, fall_rate=0.2), seen(3, followed_rate=0.97, fall_rate=0.0)]
+    assert [bench.arrives(curve[:i]) for i in (1, 2, 3)] == [False, True, True]
+    rule = StopWhen(at_least={"followed_rate": 0.95}, at_most={"fall_rate": 0.0}, evaluations=1)
+    assert [bench.walking(rule)(curve[:i]) for i in (1, 2, 3)] == [False, False, True]
+    found = bench.results([made(bench, "sb3-sac x64", curve)], 20.0, rule)["sb3-sac x64"]
+    assert found.arrival.minutes("median") == "2.0" and found.walk.minutes("median") == "3.0"
+    assert bench.gait_words(found).startswith("91% of the commands followed, falls 20%; misses followed_rate 0.91 <")
 
 
 def test_conditions_that_are_missed_are_named(bench):
@@ -149,9 +162,9 @@ def test_peers_are_named_by_library_and_algorithm(peers):
         peers.parts("torchrl-sac")
 
 
-@pytest.mark.parametrize("robot", ["biped", "quadruped"])
-def test_peers_train_on_the_task_and_reward_of_the_command(peers, robot):
-    settings = peers.shared_settings(f"robot={robot}")
+@pytest.mark.parametrize(("robot", "more"), [("biped", []), ("quadruped", []), ("quadruped", ["task=velocity"])])
+def test_peers_train_on_the_task_and_reward_of_the_command(peers, robot, more):
+    settings = peers.shared_settings(f"robot={robot}", *more)
     task, theirs = settings.setup().task, peers.make_env(settings).unwrapped._one.simulation.task
     assert theirs.reward == task.reward == settings.reward
     assert theirs.settings == task.settings
