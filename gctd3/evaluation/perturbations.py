@@ -87,6 +87,36 @@ def sensor_deviation(task: SimulatedTask, angle: float, velocity: float, length:
     return torch.from_numpy(task.table.deviations(errors).astype(np.float32))
 
 
+class Shoved:
+    """Push each robot of a policy again and again, in random horizontal directions, each at its own times.
+
+    Args:
+        policy: The policy; the wrapper serves a single episode of every robot.
+        simulation: The simulation in which the robots walk.
+        change: Change of the whole robot's velocity by a push (m/s): its impulse on the root body is ``change`` times
+            the robot's mass.
+        every: Control steps from one push of a robot to its next; the first one comes after as many at most.
+        seed: Seed of the directions and of the first times.
+    """
+
+    def __init__(self, policy: PolicyFunction, simulation: Simulation, change: float, every: int, seed: int) -> None:
+        self.policy, self.simulation, self.change, self.every = policy, simulation, change, every
+        self._rng = np.random.default_rng(seed)
+        self._left = self._rng.integers(1, every + 1, simulation.num_robots)
+
+    def __call__(self, state: TensorDictBase) -> TensorDictBase:
+        """Push the robots whose time has come, then act on ``state``, which was observed before the push."""
+        simulation, robot = self.simulation, self.simulation.task.robot
+        ways = self._rng.uniform(0.0, 2.0 * np.pi, simulation.num_robots)
+        self._left -= 1
+        for i in np.flatnonzero(self._left == 0):
+            way = np.array([np.cos(ways[i]), np.sin(ways[i])]) @ robot.base.frame[:2]
+            impulse = self.change * robot.model.body_subtreemass[robot.base.root] * way
+            simulation.qvel[i] += velocity_change(robot, simulation.qpos[i], impulse)
+        self._left = np.where(self._left == 0, self.every, self._left)
+        return self.policy(state)
+
+
 class Pushed:
     """Push each robot of a policy once, some time after a touchdown of its first foot.
 

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from gctd3.envs.factory import build_env
 from gctd3.envs.settings import EnvSettings
+from gctd3.envs.simulation import Simulation
 from gctd3.evaluation.gait_metrics import SHORTEST_SWING
 from gctd3.evaluation.perturbations import (
     Delayed,
     Noisy,
     PolicyFunction,
     Pushed,
+    Shoved,
     altered,
     resting_action,
     sensor_deviation,
@@ -24,11 +27,15 @@ from gctd3.evaluation.perturbations import (
 from gctd3.evaluation.recorder import total_mass
 from gctd3.evaluation.rollout import evaluate
 from gctd3.evaluation.settings import Perturbations
+from gctd3.evaluation.tracking import WITHIN
 from gctd3.progress import tracked
 from gctd3.tasks.simulated_task import SimulatedTask
+from gctd3.tasks.terms import period
 
 DIRECTIONS = {"forward": 1.0, "backward": -1.0}
 AS_TRAINED = "as trained"
+# Makes the policy that acts in a simulation, and the task that is simulated.
+Condition = tuple[Callable[[Simulation], PolicyFunction], SimulatedTask]
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,9 @@ class Examination:
         conditions: dict[str, dict[str, float | int]] = {}
         tried = self._conditions()
         for name, (policy, task) in tracked(tried.items(), "trying conditions", len(tried)):
-            conditions[name] = self._summary(policy, task)
+            env = build_env(task, self.env, self.seed)
+            acting = policy(env.base_env.simulation)
+            conditions[name] = evaluate(acting, env, task, self.seed).summary()
         return {
             "perturbations": asdict(self.perturbations),
             "mass_kg": total_mass(self.task.robot),
@@ -68,22 +77,33 @@ class Examination:
             "pushes": None if stride_time is None else self.pushes(stride_time),
         }
 
-    def _conditions(self) -> dict[str, tuple[PolicyFunction, SimulatedTask]]:
+    def _conditions(self) -> dict[str, Condition]:
+        """Return, by the name of each condition, a function that makes the policy for a simulation, and the task."""
         p, task, robot = self.perturbations, self.task, self.task.robot
         noise = sensor_deviation(task, p.angle_noise, p.velocity_noise, p.height_noise, p.speed_noise)
-        conditions: dict[str, tuple[PolicyFunction, SimulatedTask]] = {AS_TRAINED: (self.policy, task)}
+        plain = self._as_it_is
+        made: dict[str, Condition] = {AS_TRAINED: (plain, task)}
         for factor in p.masses:
-            conditions[f"mass {_percent(factor)}"] = self.policy, task.on(altered(robot, mass=factor))
+            made[f"mass {_percent(factor)}"] = plain, task.on(altered(robot, mass=factor))
         for factor in p.frictions:
-            conditions[f"friction {_percent(factor)}"] = self.policy, task.on(altered(robot, friction=factor))
+            made[f"friction {_percent(factor)}"] = plain, task.on(altered(robot, friction=factor))
         for steps in p.delays:
-            late = Delayed(self.policy, steps, resting_action(robot))
-            conditions[f"actions {steps} step{'s' * (steps != 1)} late"] = late, task
-        conditions["sensor noise"] = Noisy(self.policy, noise, self.seed), task
-        return conditions
+            late = partial(self._late, steps)
+            made[f"actions {steps} step{'s' * (steps != 1)} late"] = late, task
+        made["sensor noise"] = lambda _: Noisy(self.policy, noise, self.seed), task
+        if "commands" in task.abilities and p.shove:
+            made[f"pushes of {p.shove:g} m/s, {p.shove_every:g} s apart"] = self._shoved, task
+        return made
 
-    def _summary(self, policy: PolicyFunction, task: SimulatedTask) -> dict[str, float | int]:
-        return evaluate(policy, build_env(task, self.env, self.seed), task, self.seed).summary()
+    def _as_it_is(self, simulation: Simulation) -> PolicyFunction:
+        return self.policy
+
+    def _late(self, steps: int, simulation: Simulation) -> PolicyFunction:
+        return Delayed(self.policy, steps, resting_action(simulation.task.robot))
+
+    def _shoved(self, simulation: Simulation) -> PolicyFunction:
+        p = self.perturbations
+        return Shoved(self.policy, simulation, p.shove, period(p.shove_every, self.task.control_dt), self.seed)
 
     def pushes(self, stride_time: float) -> dict[str, Any]:
         """Push robots with every impulse at every phase in both directions, all in one batch.
@@ -143,13 +163,9 @@ def weakest(results: Mapping[str, Any], direction: str) -> float:
 
 def table(results: Mapping[str, Any]) -> str:
     """Format the results as text: a line for each condition, then the pushes by phase."""
-    lines = [f"{'':24}{'success':>9}{'return':>16}{'m/s':>8}{'m':>8}"]
-    for name, means in results["conditions"].items():
-        spread = f"{means['return_mean']:.1f} ± {means['return_std']:.1f}"
-        lines.append(
-            f"{name:24}{means['success_rate']:>9.2f}{spread:>16}{means['velocity_mean']:>8.3f}"
-            f"{means['distance_mean']:>8.2f}"
-        )
+    conditions = results["conditions"]
+    commanded = any("tracked_rate" in means for means in conditions.values())
+    lines = _commanded(conditions) if commanded else _walking(conditions)
     pushes, p = results["pushes"], results["perturbations"]
     if pushes is None:
         return "\n".join([*lines, "", "The gait has no strides, so there are no phases at which to push."])
@@ -166,6 +182,26 @@ def table(results: Mapping[str, Any]) -> str:
     if pushes["never_pushed"]:
         lines.append(f"{pushes['never_pushed']} robots fell before they could be pushed and do not count.")
     return "\n".join(lines)
+
+
+def _walking(conditions: Mapping[str, Mapping[str, float]]) -> list[str]:
+    lines = [f"{'':24}{'success':>9}{'return':>16}{'m/s':>8}{'m':>8}"]
+    for name, means in conditions.items():
+        spread = f"{means['return_mean']:.1f} ± {means['return_std']:.1f}"
+        numbers = f"{means['velocity_mean']:>8.3f}{means['distance_mean']:>8.2f}"
+        lines.append(f"{name:24}{means['success_rate']:>9.2f}{spread:>16}{numbers}")
+    return lines
+
+
+def _commanded(conditions: Mapping[str, Mapping[str, float]]) -> list[str]:
+    head = f"{'no fall':>9}{'tracked':>9}{'followed':>10}"
+    lines = [f"{'':30}{head}{'forward':>10}{'side':>8}{'turn, rad/s':>13}"]
+    for name, means in conditions.items():
+        shares = f"{1 - means['fall_rate']:>9.0%}{means['tracked_rate']:>9.0%}{means['followed_rate']:>10.0%}"
+        errors = f"{means['error_forward']:>10.2f}{means['error_side']:>8.2f}{means['error_turn']:>13.2f}"
+        lines.append(f"{name:30}{shares}{errors}")
+    within = f"Tracked: no fall, and a mean absolute error of at most {WITHIN:g} m/s in the plane."
+    return [*lines, f"{within} Errors forward and to the side are in m/s."]
 
 
 def _impulse(value: float | None, impulses: Sequence[float]) -> str:

@@ -50,6 +50,9 @@ class Perturbations:
         velocity_noise: Standard deviation of the errors of angular velocities (rad/s).
         height_noise: Standard deviation of the errors of the body's height (m).
         speed_noise: Standard deviation of the errors of the body's velocity (m/s).
+        shove: Change of the whole robot's velocity by each of the pushes in random horizontal directions under which
+            robots of tasks with a commanded velocity are to go on (m/s); 0 for none.
+        shove_every: Time from one of these to the next (s).
     """
 
     impulses: Sequence[float] = (4.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 40.0)
@@ -64,10 +67,12 @@ class Perturbations:
     velocity_noise: float = 0.5
     height_noise: float = 0.005
     speed_noise: float = 0.05
+    shove: float = 0.5
+    shove_every: float = 2.0
 
     def __post_init__(self) -> None:
         check_between(self, 1, 1000, "phases", "starts")
-        check_between(self, 0, 1000, "settle", "angle_noise", "velocity_noise", "height_noise", "speed_noise")
+        check_between(self, 0, 1000, "settle", "angle_noise", "velocity_noise", "height_noise", "speed_noise", "shove")
         impulses = list(self.impulses)
         if not impulses or impulses != sorted(set(impulses)) or not impulses[0] > 0:
             raise ConfigError(f"impulses must hold numbers above 0 that rise, got {impulses}.")
@@ -76,8 +81,9 @@ class Perturbations:
                 raise ConfigError(f"{name} must hold factors above 0, got {list(getattr(self, name))}.")
         if any(not 1 <= steps <= 1000 for steps in self.delays):
             raise ConfigError(f"delays must hold whole numbers from 1 to 1,000, got {list(self.delays)}.")
-        if not self.recover > 0:
-            raise ConfigError(f"recover must be above 0 s, got {self.recover}.")
+        for name in ("recover", "shove_every"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} must be above 0 s, got {getattr(self, name)}.")
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from gctd3.evaluation.settings import SETTLE
 ERRORS = ("error_forward", "error_side", "error_turn")  # m/s, m/s, rad/s
 
 
+WITHIN = 0.3  # mean absolute error in the plane up to which an episode counts as tracked (m/s)
 NEAR, TURN_NEAR = 0.15, 0.2  # of the mean velocity to a command that is followed (m/s, rad/s)
 
 
@@ -76,6 +77,7 @@ def followed(episode: Episode, control_dt: float) -> list[bool]:
 def tracking_errors(episodes: Sequence[Episode], control_dt: float) -> dict[str, float]:
     """Average the errors of commanded velocities over episodes, with the shares of commands followed and of falls.
 
+    ``tracked_rate`` is the share of episodes without a fall whose mean absolute error in the plane is at most 0.3 m/s.
     Errors are NaN if no episode lasted long enough. It is empty without commands.
     """
     if all(episode.command is None for episode in episodes):
@@ -85,4 +87,10 @@ def tracking_errors(episodes: Sequence[Episode], control_dt: float) -> dict[str,
     fell = float(np.mean([episode.fell for episode in episodes]))
     each_command = [one for episode in episodes for one in followed(episode, control_dt)]
     rate = float(np.mean(each_command)) if each_command else math.nan
-    return {**dict(zip(ERRORS, map(float, means), strict=True)), "followed_rate": rate, "fall_rate": fell}
+    shares = {"followed_rate": rate, "fall_rate": fell, "tracked_rate": _tracked(episodes, control_dt)}
+    return {**dict(zip(ERRORS, map(float, means), strict=True)), **shares}
+
+
+def _tracked(episodes: Sequence[Episode], control_dt: float) -> float:
+    known = [None if episode.fell else errors(episode, control_dt) for episode in episodes]
+    return float(np.mean([error is not None and np.hypot(error[0], error[1]) <= WITHIN for error in known]))

@@ -65,7 +65,8 @@ def _conditions(ax: Axes, groups: Groups) -> None:
                 ax.plot(rates, [place] * len(rates), "|", color=INK, ms=4, alpha=0.6)
     ax.set(xlim=(0, 1.02), yticks=range(len(names)), ylim=(len(names) - 0.4, -0.6))
     ax.set_yticklabels(names)
-    ax.set_xlabel("share of episodes that reach the finish")
+    falls = any("fall_rate" in one for results in groups.values() for r in results for one in r["conditions"].values())
+    ax.set_xlabel("share of episodes without a fall" if falls else "share of episodes that reach the finish")
     ax.grid(axis="y", visible=False)
     ax.set_axisbelow(True)
     if len(groups) > 1:

@@ -15,6 +15,7 @@ from gctd3.evaluation.perturbations import (
     Delayed,
     Noisy,
     Pushed,
+    Shoved,
     altered,
     resting_action,
     sensor_deviation,
@@ -175,6 +176,28 @@ def test_pushes_come_when_they_should(robot):
     assert (speeds[:6] == 0).all() and (speeds[6:, 0] > 0).all() and (speeds[:9, 1] == 0).all()
     # Once each, with the one twice as hard and the other way.
     assert np.ptp(speeds[6:, 0]) == 0 and speeds[-1, 0] == pytest.approx(-2 * speeds[-1, 1])
+
+
+def test_robots_are_pushed_again_and_again_in_all_directions():
+    """A push of 0.5 m/s changes the momentum of a free robot by 0.5 m/s times its mass, to any side, every 20 steps."""
+    robot, count, steps = Robot.from_mjcf("quadruped"), 12, 61
+    standing = np.tile(robot.standing_qpos, (count, 1))
+    simulation = SimpleNamespace(
+        num_robots=count, task=SimpleNamespace(robot=robot), qpos=standing, qvel=np.zeros((count, robot.model.nv))
+    )
+    shoved, before, times = Shoved(lambda state: state, simulation, 0.5, 20, seed=0), np.zeros((count, 3)), []
+    for step in range(steps):
+        shoved(None)
+        now = np.array([momentum(robot, *both) for both in zip(simulation.qpos, simulation.qvel, strict=True)])
+        change, before = now - before, now
+        pushed = np.flatnonzero(np.abs(change).max(axis=1) > 1e-9)
+        times += [(int(i), step) for i in pushed]
+        sizes = np.linalg.norm(change[pushed], axis=1)
+        np.testing.assert_allclose(sizes, 0.5 * total_mass(robot), rtol=1e-6)
+        np.testing.assert_allclose(change[pushed] @ robot.base.frame[2], 0.0, atol=1e-9)
+    own = [[step for robot, step in times if robot == i] for i in range(count)]
+    assert all(first[0] < 20 and (np.diff(first) == 20).all() and len(first) >= 3 for first in own)
+    assert len({first[0] for first in own}) > 1
 
 
 def test_a_bounce_is_no_touchdown(robot):

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,12 @@ from gctd3.envs.settings import EnvSettings
 from gctd3.errors import ConfigError
 from gctd3.evaluation.robustness import DIRECTIONS, Examination, largest, table, weakest
 from gctd3.evaluation.settings import Perturbations
+from gctd3.robots.settings import RobotSettings
+from gctd3.tasks.terminations import Fall, Survive
+from gctd3.tasks.velocity import VelocitySettings
+from gctd3.tasks.velocity_command import VelocityCommand
 
+NEVER = Perturbations(shove=0.0)
 FEW = Perturbations(impulses=(0.5, 300.0), phases=2, starts=3, settle=0.0, recover=0.1, masses=(1.2,), delays=(1,))
 
 
@@ -43,6 +49,8 @@ def test_the_weakest_moment_by_hand():
         ({"delays": (0,)}, "delays must hold"),
         ({"phases": 0}, "phases must be at least 1, got 0."),
         ({"recover": 0.0}, "recover must be above 0 s, got 0.0."),
+        ({"shove_every": 0.0}, "shove_every must be above 0 s, got 0.0."),
+        ({"shove": -1.0}, "shove must be at least 0, got -1.0."),
         ({"angle_noise": -0.1}, "angle_noise must be at least 0, got -0.1."),
     ],
 )
@@ -124,6 +132,29 @@ def test_tables_say_what_is_known(examination):
     assert "forward                     0.5  ≥ 300" in text and "backward                      0      -" in text
     assert "forward, at the worst moment: 0.5 N s, 0.05 m/s of its mass" in text
     assert "3 robots fell before they could be pushed" in text and "mass +20 %" in text
+
+
+def test_under_commands_falls_and_errors_are_told_and_robots_are_pushed_on_their_way():
+    """Robots that stand in place never fall, but for the pushes, and are as far off as they are told to go."""
+    command = VelocityCommand(forward=(0.5, 0.5), side=(0.0, 0.0), turn=(0.0, 0.0), standing=0.0)
+    ends = {"fall": Fall(height=None, shanks=False), "time_limit": Survive(100)}
+    settings = VelocitySettings(commands={"velocity": command}, terminations=ends, randomisations={})
+    task = settings.build(RobotSettings("quadruped"))
+    hard = replace(FEW, shove=5.0, shove_every=0.5)
+
+    def still(state):
+        return state.set("action", torch.zeros(*state.batch_size, task.facts.actions))
+
+    results = Examination(still, task, EnvSettings(num_envs=4, threads=1), 3, hard).results(None)
+    plain, shoved = (results["conditions"][name] for name in ("as trained", "pushes of 5 m/s, 0.5 s apart"))
+    assert plain["fall_rate"] == 0.0 < shoved["fall_rate"] and plain["success_rate"] == 1.0
+    assert plain["tracked_rate"] == plain["followed_rate"] == 0.0
+    assert plain["error_forward"] == pytest.approx(0.5, abs=0.02) and plain["error_turn"] == pytest.approx(0, abs=0.05)
+    lines = table(results).splitlines()
+    assert lines[1].split()[:5] == ["as", "trained", "100%", "0%", "0%"]
+    assert any(line.startswith("pushes of 5 m/s, 0.5 s apart ") for line in lines)
+    assert "at most 0.3 m/s in the plane" in table(results)
+    assert not any(name.startswith("pushes") for name in Examination(still, task, None, 3, NEVER)._conditions())
 
 
 def test_wrong_calls_are_answered(run, capsys):

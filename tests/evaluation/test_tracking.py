@@ -44,6 +44,8 @@ def test_errors_by_hand():
     found = tracking_errors([episode(asked, moved), exact, soon], DT)
     # Followed: on average 0.1 m/s and 0.2 rad/s off; not followed: the two that fell.
     expected = {"error_forward": 0.1, "error_side": 0.1, "error_turn": 0.1, "followed_rate": 1 / 3, "fall_rate": 2 / 3}
+    # Only the first one did not fall, 0.2 m/s off in both directions.
+    expected["tracked_rate"] = 1 / 3
     assert found == pytest.approx(expected)
     assert np.isnan(tracking_errors([soon], DT)["error_forward"])
 
