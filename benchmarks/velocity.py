@@ -5,10 +5,11 @@
     python benchmarks/velocity.py what=table
 
 Each robot and seed is a file below ``out``: the errors and the falls under every command, and those of 200 episodes
-whose commands are drawn anew. It goes on where it stopped: what has a file is left alone, and a training that was
-interrupted is continued. A training or an evaluation that fails has a file too, with its last line, and counts as a
-failure; ``again=failed`` or ``again=all`` does it once more. A command counts as followed if no robot fell under it,
-and the mean velocity was within 0.15 m/s and 0.2 rad/s of it.
+whose commands are drawn anew, as in the training and, beside it, with commands that jump (``jumping``). It goes on
+where it stopped: what has a file is left alone, and a training that was interrupted is continued. A training or an
+evaluation that fails has a file too, with its last line, and counts as a failure; ``again=failed`` or ``again=all``
+does it once more. A command counts as followed if no robot fell under it, and the mean velocity was within 0.15 m/s and
+0.2 rad/s of it.
 """
 
 from __future__ import annotations
@@ -22,12 +23,19 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import torch
 from common import commit, options
 
+from gctd3.envs.factory import build_env
+from gctd3.evaluation.rollout import evaluate
 from gctd3.files import title, write_text
+from gctd3.runs.load import load_run
+from gctd3.runs.settings import EvaluateSettings
+from gctd3.tasks.velocity_command import NAME
 
 RESULTS = Path(__file__).parent / "results" / "velocity"
 EPISODES, STARTS = 200, 4
@@ -70,6 +78,7 @@ def cell(
     if failed is not None:
         return {**row, "failed": failed}
     report, tested = (json.loads((folder / f"{name}.json").read_text()) for name in ("evaluation", "commands"))
+    jumping = jump(folder, threads)
     progress = (folder / "progress.csv").read_text().splitlines()
     names = ("error_forward", "error_side", "error_turn", "followed_rate", "fall_rate")
     return {
@@ -78,9 +87,20 @@ def cell(
         "minutes": float(minutes) if (minutes := trained.read_text()) else None,  # of the whole command
         "versions": report["versions"],
         "resampled": {"episodes": report["episodes"], **{name: report[name] for name in names}},
+        "jumping": {"episodes": jumping["episodes"], **{name: jumping[name] for name in names}},
         "followed": tested["whole"]["followed"],
         **{key: tested[key] for key in ("grid", "settle_s", "whole", "commands")},
     }
+
+
+def jump(folder: Path, threads: int) -> dict[str, float | int]:
+    """Evaluate a run's policy under commands that change at once, from the starts of the other evaluation."""
+    torch.set_num_threads(threads)
+    run, seed = load_run(folder), EvaluateSettings.seed
+    task = run.setup.task.evaluated(run.settings.evaluation.reward)
+    sudden = task.with_commands({NAME: replace(task.commands[NAME], acceleration=None)})
+    env = build_env(sudden, run.settings.env.for_evaluation(EPISODES, threads), seed)
+    return evaluate(run.policy(), env, sudden, seed).summary()
 
 
 def line(row: Mapping[str, Any]) -> str:

@@ -65,6 +65,8 @@ def test_a_cell_is_trained_tested_and_continued(bench, tmp_path):
     folder = tmp_path / "seed0"
     first = bench.cell("quadruped", 0, folder, 1, ["algo=td3", *settings], grid)
     assert first["whole"]["commands"] == 3 and first["frames"] == 240
+    assert first["jumping"]["episodes"] == first["resampled"]["episodes"] == 200
+    assert first["jumping"] != first["resampled"]
     wrong = bench.cell("quadrupet", 0, tmp_path / "other", 1, settings, grid)
     assert wrong["failed"].startswith("exit code 2: error: ") and "quadrupet" in wrong["failed"]
     assert json.loads((folder / "commands.json").read_text())["whole"] == first["whole"]
