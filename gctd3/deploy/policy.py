@@ -177,8 +177,8 @@ class Policy:
         try:
             when = self._at(time, now)
             anew = self._frames is None or self._missed(when) >= self.contract.safety.hold_periods + 0.5
-            last = self._readings.at_rest if anew else self._told
-            told = self._readings.approached(self._read(readings, command), last)
+            told_before = self._readings.at_rest if anew else self._told
+            told = self._readings.approached(self._read(readings, command), told_before)
             began = when if self._began is None else self._began
             frame = self._readings.frame(told, self._action, when - began)
             stack = self._history(None if anew else self._frames, frame, when)
