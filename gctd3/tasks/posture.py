@@ -15,10 +15,10 @@ SENSES = ("pitch", "pitch_rate", "speed", "roll", "roll_rate", "drift")
 READINGS: dict[str, tuple[tuple[str, float], ...]] = {
     "pitch": (("pitch_rad", 1.0), ("gravity_forward", 1.0)),
     "pitch_rate": (("pitch_rate_rad_s", 1.0),),
-    "speed": (("velocity_m_s", 1.0),),
+    "speed": (("velocity_m_s", 1.0), ("heading_forward_m_s", 1.0)),
     "roll": (("roll_rad", 1.0), ("gravity_side", -1.0)),
     "roll_rate": (("roll_rate_rad_s", 1.0),),
-    "drift": (("side_rate_m_s", 1.0),),
+    "drift": (("side_rate_m_s", 1.0), ("heading_side_m_s", 1.0)),
 }
 
 
