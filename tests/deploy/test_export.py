@@ -80,7 +80,7 @@ def test_the_onnx_file_says_what_it_is(exported):
 
 def test_the_contract_says_what_the_robots_file_says(exported, robot):
     said = json.loads(exported.with_suffix(".json").read_text(encoding="utf-8"))
-    assert (said["format"], said["control_rate_hz"], said["history_frames"]) == (3, 50.0, 5)
+    assert (said["format"], said["control_rate_hz"], said["history_frames"]) == (4, 50.0, 5)
     assert (said["history_order"], said["history_warm_up"]) == ("oldest first", "repeat the first frame")
     # Section 2.3 of the paper.
     order = ["body", "hip_right", "hip_left", "knee_right", "knee_left", "ankle_right", "ankle_left", "ground"]

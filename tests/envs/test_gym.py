@@ -121,12 +121,13 @@ def test_commanded_velocities_are_told_and_paid():
     vector = gymnasium.make_vec(VELOCITY, num_envs=3, robot="quadruped", threads=1, curriculum=False, overrides=now)
     vector.reset(seed=1)
     rng, command = np.random.default_rng(0), vector.simulation.memory["command.velocity"].copy()
-    assert np.ptp(command, axis=0).min() > 0.01
+    assert not command.any()
     for _ in range(5):
         _, _, _, _, info = vector.step(rng.uniform(-0.3, 0.3, (3, 12)).astype(np.float32))
         off = np.linalg.norm((info["moved"] - command)[:, :2], axis=1)
         np.testing.assert_allclose(info["reward_track"], 3.0 * (1.0 - off))
         command = info["command"]
+    assert np.ptp(command, axis=0).max() > 0.01
 
 
 def test_robots_are_those_of_the_commands():
