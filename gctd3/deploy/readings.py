@@ -11,6 +11,7 @@ import numpy as np
 from gctd3.deploy.contract import Contract
 from gctd3.deploy.contract_checks import BY_GRAVITY
 from gctd3.errors import shown
+from gctd3.tasks.slew import approached
 
 
 class RefusalError(Exception):
@@ -91,8 +92,7 @@ class Readings:
             values: Values of the readings, shape ``[R]``.
             last: The same of the last step as this returned them, :attr:`at_rest` before the first one.
         """
-        away = values - last
-        return np.where(np.abs(away) <= self._most, values, last + np.copysign(self._most, away))
+        return approached(last, values, self._most)
 
     def frame(self, values: np.ndarray, action: np.ndarray, elapsed: float) -> np.ndarray:
         """Return the features of every node in one frame, ``float32 [N, features]``.

@@ -13,6 +13,7 @@ from gctd3.tasks.ground import FARTHEST, LANE, LEVELS
 from gctd3.tasks.heading import coordinate
 from gctd3.tasks.measurement import Measurement
 from gctd3.tasks.sensor_noise import OWN_NOISE, SensorNoise
+from gctd3.tasks.slew import approached
 from gctd3.tasks.term_checks import called, reading
 from gctd3.tasks.terminations import STEPS
 from gctd3.tasks.terms import Command, Remembered, RobotFacts, Step, period
@@ -163,12 +164,6 @@ class EpisodeMemory:
 def target_of(command: str) -> str:
     """Return the name of the array that a command of the memory approaches, which has slew rates."""
     return f"{command}.target"
-
-
-def approached(now: np.ndarray, target: np.ndarray, most: np.ndarray) -> np.ndarray:
-    """Return numbers that are by at most ``most`` nearer to a target, and the target where it is as near as that."""
-    away = target - now
-    return np.where(np.abs(away) <= most, target, now + np.copysign(most, away))
 
 
 def _generator(rng: Generator | None) -> Generator:

@@ -288,7 +288,7 @@ def test_a_command_is_given_apart_from_the_readings(tmp_path):
 
 
 def test_a_command_with_a_slew_rate_is_approached(tmp_path):
-    """By 0.4 a control period, from 0 on, whatever was refused between; anew after more than the missed periods."""
+    """Follow by 0.4 a control period, from 0 on, whatever was refused between; anew after more than the missed ones."""
     policy = Policy(write_policy(tmp_path, slewing_contract(frames=1)))
     network, upright = Fixed(0.0, 0.0), good(policy, gravity_up=-1.0)
     policy._session = network
